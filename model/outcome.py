@@ -1,0 +1,20 @@
+"""How a run ended, as a value whose text says what to try."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """Status of a case, as the CF flags of the dataset have it."""
+
+    DONE = 0
+    FAILED = 1
+    TIMED_OUT = 2
+    OUT_OF_MEMORY = 3
+    WORKER_DIED = 4
+    NOT_RUN = 5
+
+
+class ModelError(RuntimeError):
+    """A stage could not reach its result. The text says why and what to try."""

@@ -1,0 +1,128 @@
+"""What each stage hands to the next: named arrays, and nothing else.
+
+Every field is a NumPy array (0-d for a single number or word), so that a product
+can be stored, hashed and passed to a kernel as it is. Shapes use n grains, c contacts,
+d domains (pores), p pipes, b boundary crossings. Indices are int64, −1 means none.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+Array = np.ndarray
+
+
+class Packing(NamedTuple):
+    """Grains at rest under the small isotropic packing pressure, in a box larger than the region.
+
+    Forces are given over the normal stiffness, hence in metres: the packing does not
+    depend on how stiff the grains are.
+    """
+
+    x: Array  # (n,) m
+    y: Array  # (n,) m
+    radius: Array  # (n,) m
+    contact_a: Array  # (c,) first grain of a contact, a < b, sorted by (a, b)
+    contact_b: Array  # (c,)
+    normal_force: Array  # (c,) m: force / k_n, compression positive, 0 for a lattice at rest
+    shear_force: Array  # (c,) m: force / k_n, see mechanics.contacts for the sign
+    box: Array  # (4,) m: walls xmin, xmax, ymin, ymax
+    porosity: Array  # () of the inner box (without the layer at the walls)
+    coordination: Array  # () mean number of contacts of the grains that carry load
+    floaters: Array  # () number of grains with fewer than two contacts
+    packing_friction: Array  # () friction at which the porosity was reached
+    packing_pressure: Array  # () pressure / k_n
+    unbalanced_ratio: Array  # () mean unbalanced force over mean contact force
+    steps: Array  # () time steps taken
+
+
+class StressState(NamedTuple):
+    """Grains in equilibrium under the walls' stresses."""
+
+    x: Array  # (n,) m
+    y: Array  # (n,) m
+    contact_a: Array  # (c,) touching or bonded grains, a < b, sorted by (a, b)
+    contact_b: Array  # (c,)
+    normal_force: Array  # (c,) N per metre of depth, compression positive
+    shear_force: Array  # (c,) N per metre of depth
+    bonded: Array  # (c,) bool
+    box: Array  # (4,) m: walls xmin, xmax, ymin, ymax
+    stress: Array  # (3,) Pa: xx, yy, xy in the volume, compression positive
+    wall_stress: Array  # (4,) Pa on the walls left, right, bottom, top
+    unbalanced_ratio: Array  # () mean unbalanced force over mean contact force
+    broken_bonds: Array  # ()
+    steps: Array  # () time steps taken
+
+
+class Network(NamedTuple):
+    """Pores and pipes: the faces of the contact graph and the contacts between them.
+
+    Faces are polygons of grain centres, counter-clockwise. Corner k of the ragged arrays
+    stands for the edge from `corner_grain[k]` to the next corner of the same face;
+    `corner_pipe[k]` is the pipe across that edge, −1 where the other side is outside or
+    the same face.
+    """
+
+    x: Array  # (d,) centroid, m
+    y: Array  # (d,)
+    volume: Array  # (d,) pore volume for unit depth, m³ per m
+    area: Array  # (d,) area of the polygon, m²
+    inside: Array  # (d,) bool: centroid inside the region
+    corner_start: Array  # (d + 1,) first corner of each domain
+    corner_grain: Array  # (corners,) grain at each corner
+    corner_pipe: Array  # (corners,) pipe across the edge that starts there
+    pipe_from: Array  # (p,) domain
+    pipe_to: Array  # (p,) domain
+    pipe_grain_a: Array  # (p,) grains of the contact, a < b
+    pipe_grain_b: Array  # (p,)
+    pipe_length: Array  # (p,) m: r_a + r_b
+    cut: Array  # (b,) pipes that cross the rim: pipe_from or pipe_to is inside, not both
+    cut_inside: Array  # (b,) the domain inside
+    cut_outside: Array  # (b,) the domain outside
+    cut_side: Array  # (b,) index into region.sides
+    cut_fraction: Array  # (b,) part of the segment between centroids that lies inside
+    grain_x: Array  # (n,) m
+    grain_y: Array  # (n,) m
+    grain_radius: Array  # (n,) m
+    porosity: Array  # () pore volume over polygon area, domains inside the region
+    floaters: Array  # () grains that lie inside domains and carry no edge
+    slivers: Array  # () domains whose volume was raised to the floor
+    crossing_edges: Array  # () contacts dropped because they crossed another
+
+
+class Apertures(NamedTuple):
+    """Open pipes: aperture, conductance and fractures."""
+
+    aperture: Array  # (p,) m
+    conductance: Array  # (p,) m³/(s Pa) per metre of depth, Eq. 1
+    volume: Array  # (d,) pore volume after fractures handed theirs over, m³ per m
+    on_fracture: Array  # (p,) index of the trace that a pipe runs along, −1 in the matrix
+    cut_conductance: Array  # (b,) between the domain inside and the rim, m³/(s Pa)
+    trace_start: Array  # (traces, 2) m, after clipping to the region
+    trace_end: Array  # (traces, 2) m
+    trace_fracture: Array  # (traces,) index of the fracture in the scene
+    trace_transmissivity: Array  # (traces,) w³/(12 μ), 0 unless it is calibrated, m³/(s Pa)
+    trace_pipes: Array  # (traces,) number of pipes along it; 0: shorter than a pore
+    pipe_trace_from: Array  # (p,) m: place of pipe_from along its calibrated trace, else NaN
+    pipe_trace_to: Array  # (p,) m
+    matrix_aperture: Array  # () w0, m
+
+
+class Responses(NamedTuple):
+    """Pressure changes for unit steps of each source: rates and fixed pressures.
+
+    o counts the recorded quantities, in the order `flow.system.outputs` states; lags are
+    times since a step. A steady study has one lag, infinity.
+    """
+
+    lag: Array  # (l,) s
+    output: Array  # (sources, l, o) per unit of the source
+    cumulative: Array  # (sources, l, k) time integrals of boundary inflow and storage, per unit
+    pressure: Array  # (sources, l, m) maps on the domains inside, m = 0 where none is asked for
+    domain: Array  # (m,) the domains of the maps
+    time_error: Array  # () estimated relative error in time
+    residual: Array  # () relative residual of the solve
+    work: Array  # () steps or solves
+    isolated: Array  # () domains that no source reaches; they keep the initial pressure

@@ -1,0 +1,113 @@
+"""One table of everything that a result can hold: its name, unit, dimensions and meaning.
+
+Dataset attributes, axis labels and documentation read it; nothing else repeats it.
+Dimensions are named as in the dataset; the axes of a study come before them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+
+class Quantity(NamedTuple):
+    """A named result."""
+
+    unit: str  # as UDUNITS and CF write it
+    dimensions: tuple[str, ...]
+    long_name: str
+    needs: tuple[str, ...] = ()  # recorded where one of these is observed; empty: always
+
+
+# Variables of the dataset, one value or array per case.
+CASE: dict[str, Quantity] = {
+    "well_pressure": Quantity(
+        "Pa", ("well", "elapsed_time"), "bottom-hole pressure", ("well_pressure",)
+    ),
+    "well_rate": Quantity(
+        "m3 s-1",
+        ("well", "elapsed_time"),
+        "well rate for unit depth, positive for production",
+        ("well_pressure",),
+    ),
+    "pressure_change": Quantity(
+        "Pa",
+        ("well", "elapsed_time"),
+        "pressure change since the last rate change, positive in the sense of the change",
+        ("well_pressure",),
+    ),
+    "pressure_derivative": Quantity(
+        "Pa",
+        ("well", "elapsed_time"),
+        "Bourdet derivative of the pressure change by the logarithm of time since the rate change",
+        ("well_pressure",),
+    ),
+    "permeability": Quantity(
+        "m2", ("row", "column"), "permeability tensor of the region", ("permeability",)
+    ),
+    "boundary_flow": Quantity(
+        "m3 s-1",
+        ("boundary", "elapsed_time"),
+        "flow through the boundary for unit depth, positive into the region",
+        ("boundary_flow",),
+    ),
+    "probe_pressure": Quantity(
+        "Pa", ("probe", "elapsed_time"), "pressure of the pore at the probe", ("probe_pressure",)
+    ),
+    "porosity": Quantity("1", (), "pore volume over polygon area of the domains in the region"),
+    "matrix_aperture": Quantity("m", (), "unstressed pipe aperture of the matrix, w0"),
+    "coordination": Quantity("1", (), "mean number of contacts of the grains that carry load"),
+    "grain_count": Quantity("1", (), "grains whose centre lies inside the region"),
+    "domain_count": Quantity("1", (), "pores inside the region"),
+    "floaters": Quantity("1", (), "grains without load in the packing, treated as solid in pores"),
+    "slivers": Quantity("1", (), "pores whose volume was raised to the floor"),
+    "isolated_domains": Quantity("1", (), "pores that no well and no boundary reaches"),
+    "mass_balance_error": Quantity(
+        "1", (), "largest imbalance of stored, injected and boundary volume over the volume moved"
+    ),
+    "residual": Quantity("1", (), "residual of the flow equation at the last time, relative"),
+    "time_error": Quantity("1", (), "estimated relative error in time of the recorded pressures"),
+    "stress_achieved": Quantity(
+        "Pa", ("component",), "stress in the specimen, positive in compression"
+    ),
+    "unbalanced_ratio": Quantity("1", (), "mean unbalanced force over mean contact force"),
+}
+
+# Variables that the sweep adds to each case.
+SWEEP: dict[str, Quantity] = {
+    "compute_time": Quantity("s", (), "time spent in the stages that this case caused to run"),
+}
+
+# Coordinates of the dataset that are not axes of a study.
+COORDINATES: dict[str, Quantity] = {
+    "elapsed_time": Quantity("s", ("elapsed_time",), "time since the start"),
+    "well": Quantity("", ("well",), "well"),
+    "boundary": Quantity("", ("boundary",), "side of the region at a fixed pressure"),
+    "probe": Quantity("", ("probe",), "probe"),
+    "probe_x": Quantity("m", ("probe",), "x of the probe"),
+    "probe_y": Quantity("m", ("probe",), "y of the probe"),
+    "row": Quantity("", ("row",), "row of a tensor"),
+    "column": Quantity("", ("column",), "column of a tensor"),
+    "component": Quantity("", ("component",), "component of the stress"),
+}
+
+# Variables of one case's maps.
+MAPS: dict[str, Quantity] = {
+    "x": Quantity("m", ("domain",), "x of the centroid of the domain"),
+    "y": Quantity("m", ("domain",), "y of the centroid of the domain"),
+    "volume": Quantity("m3", ("domain",), "pore volume for unit depth"),
+    "pressure": Quantity("Pa", ("elapsed_time", "domain"), "pore pressure", ("pressure_map",)),
+    "aperture": Quantity("m", ("pipe",), "aperture of the pipe"),
+    "conductance": Quantity("m3 s-1 Pa-1", ("pipe",), "conductance of the pipe for unit depth"),
+    "from_domain": Quantity("1", ("pipe",), "domain at one end of the pipe"),
+    "to_domain": Quantity("1", ("pipe",), "domain at the other end, -1 outside"),
+    "on_fracture": Quantity("1", ("pipe",), "index of the fracture the pipe runs along, -1 none"),
+    "grain_x": Quantity("m", ("grain",), "x of the grain centre", ("grain_map",)),
+    "grain_y": Quantity("m", ("grain",), "y of the grain centre", ("grain_map",)),
+    "radius": Quantity("m", ("grain",), "grain radius", ("grain_map",)),
+    "normal_force": Quantity(
+        "N m-1", ("contact",), "normal contact force, compression positive", ("grain_map",)
+    ),
+    "shear_force": Quantity("N m-1", ("contact",), "shear contact force", ("grain_map",)),
+    "grain_a": Quantity("1", ("contact",), "first grain of the contact", ("grain_map",)),
+    "grain_b": Quantity("1", ("contact",), "second grain of the contact", ("grain_map",)),
+}

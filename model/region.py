@@ -1,0 +1,216 @@
+"""The region of rock that is modelled: its shape, its sides and what lies inside.
+
+Rectangles and circles are centred on the origin; a polygon stands where its
+vertices say. Lengths in metres, angles in radians, arrays of points as (n, 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.parameters import SceneError, check_fields, parameter
+
+
+@dataclass(frozen=True, slots=True)
+class Rectangle:
+    """A rectangle centred on the origin, with sides left, right, bottom, top."""
+
+    width: float = parameter("m", above=0, help="extent along x")
+    height: float = parameter("m", above=0, help="extent along y")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of the sides, in the order of the edges of `vertices`."""
+        return ("bottom", "right", "top", "left")
+
+    @property
+    def area(self) -> float:
+        """Area in m²."""
+        return self.width * self.height
+
+    @property
+    def vertices(self) -> np.ndarray:
+        """Corners, counter-clockwise from the lower left, shape (4, 2)."""
+        a, b = 0.5 * self.width, 0.5 * self.height
+        return np.array([(-a, -b), (a, -b), (a, b), (-a, b)])
+
+
+@dataclass(frozen=True, slots=True)
+class Circle:
+    """A disc centred on the origin; its only side is `outer`."""
+
+    radius: float = parameter("m", above=0, help="outer radius")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of the sides."""
+        return ("outer",)
+
+    @property
+    def area(self) -> float:
+        """Area in m²."""
+        return float(np.pi * self.radius**2)
+
+
+@dataclass(frozen=True, slots=True)
+class Polygon:
+    """A simple polygon; sides are `side[0]`, `side[1]`, … in the order of its vertices.
+
+    `side[k]` runs from vertex k to vertex k + 1. Vertices may be given in either
+    sense; they are kept counter-clockwise. `outer` names every side at once.
+    """
+
+    vertices: tuple[tuple[float, float], ...] = parameter("m", help="corners, in order")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if len(self.vertices) < 3:
+            raise SceneError([("vertices", "a polygon needs at least three corners")])
+        corners = np.asarray(self.vertices, dtype=float)
+        if _signed_area(corners) < 0:
+            object.__setattr__(self, "vertices", tuple(map(tuple, corners[::-1].tolist())))
+        if _signed_area(np.asarray(self.vertices)) <= 0:
+            raise SceneError([("vertices", "the polygon has no area")])
+        if _edges_cross(np.asarray(self.vertices, dtype=float)):
+            raise SceneError([("vertices", "the sides of the polygon cross each other")])
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of the sides."""
+        return tuple(f"side[{k}]" for k in range(len(self.vertices)))
+
+    @property
+    def area(self) -> float:
+        """Area in m²."""
+        return _signed_area(np.asarray(self.vertices))
+
+
+Region = Rectangle | Circle | Polygon
+
+
+def bounding_box(region: Region) -> tuple[float, float, float, float]:
+    """Smallest upright box (xmin, xmax, ymin, ymax) around the region, m."""
+    if isinstance(region, Circle):
+        return (-region.radius, region.radius, -region.radius, region.radius)
+    corners = np.asarray(region.vertices)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    return (float(low[0]), float(high[0]), float(low[1]), float(high[1]))
+
+
+def contains(region: Region, points: np.ndarray) -> np.ndarray:
+    """Which of the points (n, 2) lie inside the region, as a boolean array (n,)."""
+    points = np.asarray(points, dtype=float).reshape(-1, 2)
+    if isinstance(region, Circle):
+        return np.hypot(points[:, 0], points[:, 1]) < region.radius
+    if isinstance(region, Rectangle):
+        return (np.abs(points[:, 0]) < 0.5 * region.width) & (
+            np.abs(points[:, 1]) < 0.5 * region.height
+        )
+    inside = np.zeros(len(points), dtype=bool)
+    corners = np.asarray(region.vertices)
+    x, y = points[:, 0], points[:, 1]
+    for (x1, y1), (x2, y2) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        if y1 == y2:
+            continue
+        spans = (y1 > y) != (y2 > y)
+        inside ^= spans & (x < x1 + (y - y1) * (x2 - x1) / (y2 - y1))
+    return inside
+
+
+def exit_point(
+    region: Region, inside: np.ndarray, outside: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Where segments that leave the region cross its rim.
+
+    Parameters: start points inside (n, 2) and end points outside (n, 2). Returns
+    the fraction of each segment that lies before the first crossing, (n,) in
+    [0, 1], and the index of the side that is crossed, (n,) into `region.sides`.
+    """
+    inside = np.asarray(inside, dtype=float).reshape(-1, 2)
+    step = np.asarray(outside, dtype=float).reshape(-1, 2) - inside
+    if isinstance(region, Circle):
+        a = np.einsum("ij,ij->i", step, step)
+        b = np.einsum("ij,ij->i", inside, step)
+        c = np.einsum("ij,ij->i", inside, inside) - region.radius**2
+        # c < 0 inside, hence one positive root, written without cancellation
+        root = np.sqrt(np.maximum(b * b - a * c, 0.0))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            fraction = np.where(b > 0, -c / (b + root), (root - b) / a)
+        return np.clip(np.nan_to_num(fraction, nan=1.0), 0.0, 1.0), np.zeros(len(step), dtype=int)
+    corners = np.asarray(region.vertices)
+    fraction = np.full(len(step), np.inf)
+    side = np.zeros(len(step), dtype=int)
+    for k, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        edge = end - start
+        normal = np.array([edge[1], -edge[0]])  # outward for counter-clockwise corners
+        approach = step @ normal
+        with np.errstate(divide="ignore", invalid="ignore"):
+            s = ((start - inside) @ normal) / approach
+            along = ((inside + s[:, None] * step - start) @ edge) / (edge @ edge)
+        hit = (approach > 0) & (s >= 0) & (along >= -1e-9) & (along <= 1 + 1e-9) & (s < fraction)
+        fraction[hit], side[hit] = s[hit], k
+    return np.clip(fraction, 0.0, 1.0), side
+
+
+def clip_segment(
+    region: Region, start: tuple[float, float], end: tuple[float, float]
+) -> list[tuple[float, float]]:
+    """Parts of the segment start–end inside the region, as fractions (s0, s1) of it, in order."""
+    a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    step = b - a
+    cuts = [0.0, 1.0]
+    if isinstance(region, Circle):
+        qa, qb, qc = step @ step, a @ step, a @ a - region.radius**2
+        disc = qb * qb - qa * qc
+        if disc > 0 and qa > 0:
+            cuts += [(-qb - np.sqrt(disc)) / qa, (-qb + np.sqrt(disc)) / qa]
+    else:
+        corners = np.asarray(region.vertices)
+        for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            edge = q - p
+            denominator = step[0] * edge[1] - step[1] * edge[0]
+            if denominator != 0.0:
+                offset = p - a
+                s = (offset[0] * edge[1] - offset[1] * edge[0]) / denominator
+                u = (offset[0] * step[1] - offset[1] * step[0]) / denominator
+                if -1e-12 <= u <= 1 + 1e-12:
+                    cuts.append(s)
+    cuts = np.unique(np.clip(cuts, 0.0, 1.0))
+    middles = a + 0.5 * (cuts[:-1] + cuts[1:])[:, None] * step
+    kept: list[tuple[float, float]] = []
+    for s0, s1, inside in zip(cuts[:-1], cuts[1:], contains(region, middles), strict=True):
+        if not inside:
+            continue
+        if kept and kept[-1][1] == s0:
+            kept[-1] = (kept[-1][0], float(s1))
+        else:
+            kept.append((float(s0), float(s1)))
+    return kept
+
+
+def _signed_area(corners: np.ndarray) -> float:
+    x, y = corners[:, 0], corners[:, 1]
+    return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+
+
+def _edges_cross(corners: np.ndarray) -> bool:
+    """Whether two sides that share no corner meet."""
+
+    def turn(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
+        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+
+    n = len(corners)
+    for i in range(n):
+        for j in range(i + 2, n - (i == 0)):
+            p, q, r, s = corners[i], corners[(i + 1) % n], corners[j], corners[(j + 1) % n]
+            if turn(p, q, r) * turn(p, q, s) <= 0 and turn(r, s, p) * turn(r, s, q) <= 0:
+                return True
+    return False
