@@ -126,3 +126,9 @@ class Responses(NamedTuple):
     residual: Array  # () relative residual of the solve
     work: Array  # () steps or solves
     isolated: Array  # () domains that no source reaches; they keep the initial pressure
+
+
+class Permeability(NamedTuple):
+    """Permeability tensor of the region; of the *calibrate* stage, at an aperture of 1 m."""
+
+    tensor: Array  # (2, 2) m²

@@ -9,11 +9,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
+import numpy as np
+
+from model.flow.solvers import flow
+from model.mechanics.packing import pack
+from model.mechanics.stress import load as stress
+from model.network.apertures import open_pipes as open
+from model.network.domains import network
+from model.observe import (
+    Controls,
+    active_sources,
+    controls,
+    observe_flow,
+    pressure_map,
+    sites,
+)
+from model.permeability import permeability, unit_permeability
+from model.products import Apertures, Network, Packing, Permeability, Responses, StressState
+from model.region import Region, contains
 from model.scene import Scene
 
-Product = tuple  # a NamedTuple of arrays from `model.products`
+__all__ = [
+    "STAGES",
+    "Stage",
+    "case_maps",
+    "flow",
+    "network",
+    "observe",
+    "open",
+    "pack",
+    "permeability",
+    "simulate",
+    "stress",
+]
 
 
 @dataclass(frozen=True)
@@ -21,9 +51,272 @@ class Stage:
     """One row of the table of stages."""
 
     name: str
-    run: Callable[..., Product]
+    run: Callable[..., Any]
     version: int  # raise it whenever the stage's results change
     parents: tuple[str, ...]  # stages whose products are the positional arguments (None if not run)
     reads: Mapping[str, Callable[[Scene], Any]]  # keyword argument -> the part of the scene
     wanted: Callable[[Scene], bool]  # whether a scene needs this stage
-    product: type  # the NamedTuple it returns
+    product: type  # the NamedTuple it returns, or dict
+
+
+def calibrate(network: Network, *, region: Region) -> Permeability:
+    """Permeability of the network at an aperture of 1 m (the *calibrate* stage)."""
+    return Permeability(unit_permeability(network, region=region))
+
+
+def measure(
+    network: Network, apertures: Apertures, *, region: Region, viscosity: float
+) -> Permeability:
+    """Permeability of the open network (the *measure* stage)."""
+    return Permeability(permeability(network, apertures, region=region, viscosity=viscosity))
+
+
+def observe(
+    packing: Packing,
+    stress: StressState | None,
+    network: Network,
+    apertures: Apertures,
+    permeability: Permeability | None,
+    responses: Responses | None,
+    *,
+    region: Region,
+    told: Controls,
+    wanted: tuple[str, ...],
+) -> dict[str, np.ndarray]:
+    """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
+    grains = contains(region, np.column_stack([packing.x, packing.y]))
+    found = {
+        "porosity": network.porosity,
+        "matrix_aperture": apertures.matrix_aperture,
+        "coordination": packing.coordination,
+        "grain_count": np.asarray(np.count_nonzero(grains)),
+        "domain_count": np.asarray(np.count_nonzero(network.inside)),
+        "floaters": network.floaters,
+        "slivers": network.slivers,
+    }
+    if stress is not None:
+        found["stress_achieved"] = stress.stress
+        found["unbalanced_ratio"] = stress.unbalanced_ratio
+    if permeability is not None:
+        found["permeability"] = permeability.tensor
+    if responses is not None:
+        found |= observe_flow(responses, told)
+        for name, needs in (
+            ("well_pressure", ("well_pressure", "well_rate")),
+            ("well_pressure", ("pressure_change", "pressure_derivative")),
+            ("boundary_flow", ("boundary_flow",)),
+            ("probe_pressure", ("probe_pressure",)),
+        ):
+            if name not in wanted:
+                for key in needs:
+                    found.pop(key, None)
+    return {name: np.asarray(value) for name, value in found.items()}
+
+
+def _needs_permeability(scene: Scene) -> bool:
+    return scene.matrix.permeability is not None or any(
+        fracture.permeability is not None for fracture in scene.fractures
+    )
+
+
+def _always(scene: Scene) -> bool:
+    return True
+
+
+STAGES: tuple[Stage, ...] = (
+    Stage(
+        name="pack",
+        run=pack,
+        version=1,
+        parents=(),
+        reads={
+            "region": lambda s: s.region,
+            "count": lambda s: s.grains.count,
+            "mean_radius": lambda s: s.grains.mean_radius,
+            "packing": lambda s: s.grains.packing,
+            "radius_ratio": lambda s: s.grains.radius_ratio,
+            "porosity": lambda s: s.grains.porosity,
+            "seed": lambda s: s.grains.seed,
+        },
+        wanted=_always,
+        product=Packing,
+    ),
+    Stage(
+        name="stress",
+        run=stress,
+        version=1,
+        parents=("pack",),
+        reads={
+            "normal_stiffness": lambda s: s.grains.contact_stiffness,
+            "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
+            "friction": lambda s: s.grains.friction,
+            "bonds": lambda s: s.bonds,
+            "stress": lambda s: s.stress,
+        },
+        wanted=lambda s: s.stress is not None,
+        product=StressState,
+    ),
+    Stage(
+        name="network",
+        run=network,
+        version=1,
+        parents=("pack",),
+        reads={"region": lambda s: s.region},
+        wanted=_always,
+        product=Network,
+    ),
+    Stage(
+        name="calibrate",
+        run=calibrate,
+        version=1,
+        parents=("network",),
+        reads={"region": lambda s: s.region},
+        wanted=_needs_permeability,
+        product=Permeability,
+    ),
+    Stage(
+        name="open",
+        run=open,
+        version=1,
+        parents=("network", "stress", "calibrate"),
+        reads={
+            "region": lambda s: s.region,
+            "matrix": lambda s: s.matrix,
+            "fractures": lambda s: s.fractures,
+            "viscosity": lambda s: s.fluid.viscosity,
+        },
+        wanted=_always,
+        product=Apertures,
+    ),
+    Stage(
+        name="measure",
+        run=measure,
+        version=1,
+        parents=("network", "open"),
+        reads={"region": lambda s: s.region, "viscosity": lambda s: s.fluid.viscosity},
+        wanted=lambda s: "permeability" in s.observe,
+        product=Permeability,
+    ),
+    Stage(
+        name="flow",
+        run=flow,
+        version=1,
+        parents=("network", "open"),
+        reads={
+            "region": lambda s: s.region,
+            "bulk_modulus": lambda s: s.fluid.bulk_modulus,
+            "wells": lambda s: sites(s.wells),
+            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+            "active": active_sources,
+            "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
+            "times": lambda s: controls(s).times,
+            "method": lambda s: s.method,
+            "tolerance": lambda s: s.solver.tolerance,
+            "safety_factor": lambda s: s.solver.safety_factor,
+            "record_map": lambda s: "pressure_map" in s.observe,
+        },
+        wanted=lambda s: s.flows,
+        product=Responses,
+    ),
+    Stage(
+        name="observe",
+        run=observe,
+        version=1,
+        parents=("pack", "stress", "network", "open", "measure", "flow"),
+        reads={
+            "region": lambda s: s.region,
+            "told": controls,
+            "wanted": lambda s: s.observe,
+        },
+        wanted=_always,
+        product=dict,
+    ),
+)
+
+
+def run_stages(scene: Scene) -> dict[str, Any]:
+    """Run every stage that a scene wants, in order; the products by name of stage."""
+    products: dict[str, Any] = {}
+    for stage in STAGES:
+        if stage.wanted(scene):
+            parents = [products.get(name) for name in stage.parents]
+            parts = {name: part(scene) for name, part in stage.reads.items()}
+            products[stage.name] = stage.run(*parents, **parts)
+    return products
+
+
+def simulate(scene: Scene) -> dict[str, np.ndarray]:
+    """Run one case: the quantities of `model.quantities.CASE` that the scene observes.
+
+    A pure function: same scene, same bits. Raises `ModelError` where a stage cannot reach
+    its result.
+    """
+    return run_stages(scene)["observe"]
+
+
+def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Fields of one case under their names in `model.quantities.MAPS`, with its polygons.
+
+    `products` are those of `run_stages`. Domains are those inside the region, pipes those
+    with an end among them. `mesh_node_x`, `mesh_node_y` are the corners of the domains'
+    polygons and `mesh_face_nodes` (domain, most corners) their indices, −1 where a domain
+    has fewer.
+    """
+    net: Network = products["network"]
+    opened: Apertures = products["open"]
+    domain = np.flatnonzero(net.inside)
+    number = np.full(len(net.x), -1)
+    number[domain] = np.arange(len(domain))
+    pipe = np.flatnonzero(net.inside[net.pipe_from] | net.inside[net.pipe_to])
+    swap = ~net.inside[net.pipe_from[pipe]]
+    start = np.where(swap, net.pipe_to[pipe], net.pipe_from[pipe])
+    end = np.where(swap, net.pipe_from[pipe], net.pipe_to[pipe])
+    trace = opened.on_fracture[pipe]
+    fracture = np.full(len(pipe), -1)
+    fracture[trace >= 0] = opened.trace_fracture[trace[trace >= 0]]
+    maps = {
+        "x": net.x[domain],
+        "y": net.y[domain],
+        "volume": opened.volume[domain],
+        "aperture": opened.aperture[pipe],
+        "conductance": opened.conductance[pipe],
+        "from_domain": number[start],
+        "to_domain": number[end],
+        "on_fracture": fracture,
+        **_mesh(net, domain),
+    }
+    if "pressure_map" in scene.observe:
+        told = controls(scene)
+        pressure = pressure_map(products["flow"], told)
+        maps["pressure"] = pressure if told.transient else pressure[0]
+    if "grain_map" in scene.observe:
+        state: StressState | None = products.get("stress")
+        packing: Packing = products["pack"]
+        held = state if state is not None else packing
+        stiffness = 1.0 if state is not None else (scene.grains.contact_stiffness or np.nan)
+        maps |= {
+            "grain_x": held.x,
+            "grain_y": held.y,
+            "radius": packing.radius,
+            "normal_force": held.normal_force * stiffness,
+            "shear_force": held.shear_force * stiffness,
+            "grain_a": held.contact_a,
+            "grain_b": held.contact_b,
+        }
+    return maps
+
+
+def _mesh(net: Network, domain: np.ndarray) -> dict[str, np.ndarray]:
+    """The polygons of some domains: their corners, and the corners of each, padded with −1."""
+    corners = np.diff(net.corner_start)[domain]
+    faces = np.full((len(domain), corners.max()), -1)
+    filled = np.arange(faces.shape[1]) < corners[:, None]
+    first = np.repeat(net.corner_start[:-1][domain], corners)
+    within = np.arange(corners.sum()) - np.repeat(np.cumsum(corners) - corners, corners)
+    grains, nodes = np.unique(net.corner_grain[first + within], return_inverse=True)
+    faces[filled] = nodes
+    return {
+        "mesh_node_x": net.grain_x[grains],
+        "mesh_node_y": net.grain_y[grains],
+        "mesh_face_nodes": faces,
+    }

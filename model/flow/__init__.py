@@ -1,0 +1,1 @@
+"""The fluid: the flow equation on the network of pores, and its solvers."""

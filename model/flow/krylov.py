@@ -1,0 +1,264 @@
+"""Transients by rational Krylov projection: a few factorisations for all times at once.
+
+The pores obey C dp/dt = −G p + f with p(0) = 0. On a space that holds C⁻¹f, the
+constants and shift-and-invert images (G + s C)⁻¹ C v for a few real poles s, the
+Galerkin projection is solved exactly in time through its eigenvalues. The constants make
+the projection conserve volume to round-off. (Rational Krylov for evolution equations:
+Güttel 2013, GAMM-Mitt. 36; poles between 1/t_last and 1/t_first.)
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.algebraic import Algebraic, algebraic
+from model.flow.factor import Factor, analyse, factorise, solve
+from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative_residual
+from model.flow.system import System
+from model.outcome import ModelError
+
+POLES_PER_DECADE = 0.6
+MOST_CYCLES = 14
+
+# Lags at which maps are compared between cycles; the error of a map changes slowly in time.
+MAP_CHECKS = 8
+
+# Rows of edge differences that are orthogonalised at once (bounds the memory).
+BLOCK_ROWS = 1 << 16
+
+
+class Basis(NamedTuple):
+    """A C-orthonormal basis of the pores and what is needed of it."""
+
+    vectors: np.ndarray  # (pores, m)
+    decay: np.ndarray  # (m,) eigenvalues of the projection, 1/s
+    modes: np.ndarray  # (m, m) its eigenvectors
+    load: np.ndarray  # (m,) source in the eigenvectors
+
+
+def krylov(problem: Problem) -> Answer:
+    """Step responses to the tolerance, source by source, the factors shared between them.
+
+    The error estimate is the change over one full cycle of poles. Raises `ModelError`
+    where `MOST_CYCLES` cycles do not bring it below the tolerance.
+    """
+    system = problem.system
+    wells = algebraic(system)
+    factors = _factors(system, _poles(problem.lag))
+    answer = empty_answer(problem)
+    error = residual = 0.0
+    work = len(factors)
+    for k in np.flatnonzero(problem.active):
+        basis, estimate, solves = _basis(problem, k, wells, factors)
+        _record(problem, k, wells, basis, answer)
+        error = max(error, estimate)
+        residual = max(residual, _residual(problem, k, wells, basis))
+        work += solves
+    return answer._replace(time_error=error, residual=residual, work=work)
+
+
+def _poles(lag: np.ndarray) -> np.ndarray:
+    """Shifts s > 0, evenly spread in log s over the reciprocal lags."""
+    first, last = lag[lag > 0][0], lag[-1]
+    count = max(2, math.ceil(POLES_PER_DECADE * math.log10(last / first)))
+    edges = np.linspace(math.log(1.0 / last), math.log(1.0 / first), count)
+    return np.exp(edges)
+
+
+def _factors(system: System, poles: np.ndarray) -> list[Factor]:
+    """Factors of G + s C for every pole, on one symbolic analysis."""
+    symbolic = analyse(system.n, system.edge_i, system.edge_j)
+    return [
+        factorise(symbolic, system.edge_g, system.excess + pole * system.storage) for pole in poles
+    ]
+
+
+def _basis(
+    problem: Problem, source: int, wells: Algebraic, factors: list[Factor]
+) -> tuple[Basis, float, int]:
+    """Grow the space cycle by cycle until the recorded outputs stand still."""
+    system = problem.system
+    pores = system.pores
+    storage = system.storage[:pores]
+    root = np.sqrt(storage)
+    rhs = wells.reduce_source(system.source(source))
+    space = np.empty((pores, 2 + MOST_CYCLES * len(factors)))
+    count = 0
+    for start in (np.ones(pores), rhs / storage):
+        count += _append(space, count, root * start)
+    before = None
+    estimate, solves = math.inf, 0
+    for _ in range(MOST_CYCLES):
+        exhausted = count == pores
+        for factor in factors:
+            if count == pores:
+                break
+            load = np.zeros(system.n)
+            load[:pores] = root * space[:, count - 1]
+            image = solve(factor, load)[:pores]
+            solves += 1
+            count += _append(space, count, root * image)
+        vectors = space[:, :count] / root[:, None]
+        basis = _project(_edge_triangle(system, wells, vectors), vectors, rhs)
+        now = _checked_outputs(problem, source, wells, basis)
+        if before is not None:
+            estimate = max(
+                _difference(a, b, scale) for (a, scale), (b, _) in zip(now, before, strict=True)
+            )
+        if exhausted or estimate <= problem.tolerance:
+            return basis, 0.0 if exhausted else estimate, solves
+        before = now
+    raise ModelError(
+        f"krylov reached a relative error of {estimate:.2g} in {MOST_CYCLES} cycles, not "
+        f"{problem.tolerance:g}; raise solver.tolerance, or record fewer decades of time"
+    )
+
+
+def _append(space: np.ndarray, count: int, vector: np.ndarray) -> int:
+    """Orthonormalise a vector against the space and append it; 0 where it adds nothing."""
+    size = np.linalg.norm(vector)
+    if size == 0.0 or count == len(space):
+        return 0
+    vector = vector / size
+    for _ in range(2):
+        vector = vector - space[:, :count] @ (space[:, :count].T @ vector)
+    size = np.linalg.norm(vector)
+    if size < 1e-13:
+        return 0
+    vector = vector / size
+    vector = vector - space[:, :count] @ (space[:, :count].T @ vector)
+    space[:, count] = vector / np.linalg.norm(vector)
+    return 1
+
+
+def _edge_triangle(system: System, wells: Algebraic, vectors: np.ndarray) -> np.ndarray:
+    """R of the QR decomposition of the edge differences √g (u_i − u_j), √g_b u_i.
+
+    VᵀGV = RᵀR; forming it from differences keeps the small eigenvalues that the Gram
+    matrix would lose.
+    """
+    full = wells.lift(vectors)
+    triangle = np.empty((0, vectors.shape[1]))
+    for lo in range(0, len(system.edge_i), BLOCK_ROWS):
+        part = slice(lo, lo + BLOCK_ROWS)
+        rows = full[system.edge_i[part]] - full[system.edge_j[part]]
+        rows *= np.sqrt(system.edge_g[part])[:, None]
+        triangle = np.linalg.qr(np.concatenate([triangle, rows]), mode="r")
+    rows = np.sqrt(system.fixed_g)[:, None] * full[system.fixed_node]
+    return np.linalg.qr(np.concatenate([triangle, rows]), mode="r")
+
+
+def _project(triangle: np.ndarray, vectors: np.ndarray, rhs: np.ndarray) -> Basis:
+    """Eigenvalues and eigenvectors of the projected conductance."""
+    _, singular, modes = np.linalg.svd(triangle)
+    decay = np.zeros(vectors.shape[1])
+    decay[: len(singular)] = singular**2
+    return Basis(vectors, decay, modes.T, modes @ (vectors.T @ rhs))
+
+
+def _amplitudes(basis: Basis, lag: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients of the basis (l, m): of the pressure, its time integral and its rate.
+
+    With z = λt: p ∝ t φ₁(z), ∫p ∝ t² φ₂(z), dp/dt ∝ e^(−z); φ₁ = (1 − e^(−z))/z and
+    φ₂ = (1 − φ₁)/z, both by their series near zero.
+    """
+    t = lag[:, None]
+    z = t * basis.decay[None, :]
+    small = z < 1e-3
+    safe = np.where(small, 1.0, z)
+    phi1 = np.where(small, 1 - z / 2 + z * z / 6 - z**3 / 24, -np.expm1(-safe) / safe)
+    phi2 = np.where(small, 0.5 - z / 6 + z * z / 24 - z**3 / 120, (1.0 - phi1) / safe)
+    pressure = (t * phi1 * basis.load) @ basis.modes.T
+    integral = (t * t * phi2 * basis.load) @ basis.modes.T
+    rate = (np.exp(-z) * basis.load) @ basis.modes.T
+    return pressure, integral, rate
+
+
+def _outputs(
+    problem: Problem, source: int, wells: Algebraic, basis: Basis, amplitude: np.ndarray
+) -> np.ndarray:
+    """Recorded outputs (l, o) for given coefficients of the basis (l, m)."""
+    rows = problem.records.rows @ wells.lift(basis.vectors)
+    return amplitude @ rows.T + _direct(problem, source, wells)
+
+
+def _direct(problem: Problem, source: int, wells: Algebraic) -> np.ndarray:
+    """What a unit of the source adds to the outputs by itself, (o,)."""
+    system = problem.system
+    alone = np.zeros(system.n)
+    alone[system.pores :] = wells.direct(system.source(source))
+    return problem.records.direct[source] + problem.records.rows @ alone
+
+
+def _checked_outputs(
+    problem: Problem, source: int, wells: Algebraic, basis: Basis
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Quantities that must converge, each with the size that its error is compared with.
+
+    A well is compared at every lag with its own pressure change, anything else with the
+    largest value that it takes.
+    """
+    lag = problem.lag[problem.lag > 0]
+    amplitude, _, _ = _amplitudes(basis, lag)
+    output = _outputs(problem, source, wells, basis, amplitude)
+    own_well = problem.system.fixed_count
+    checked = []
+    for o in range(output.shape[1]):
+        size = np.abs(output[:, o])
+        if not (o < problem.records.well_rows and source == own_well + o):
+            size = np.full_like(size, size.max())
+        checked.append((output[:, o], size))
+    if len(problem.domain):
+        some = np.unique(np.linspace(0, len(lag) - 1, MAP_CHECKS).astype(int))
+        fields = amplitude[some] @ basis.vectors.T
+        checked.append((fields, np.full_like(fields, np.abs(fields).max())))
+    return checked
+
+
+def _difference(now: np.ndarray, before: np.ndarray, scale: np.ndarray) -> float:
+    positive = scale > 0
+    if not positive.any():
+        return 0.0
+    return float(np.max(np.abs(now - before)[positive] / scale[positive]))
+
+
+def _record(problem: Problem, source: int, wells: Algebraic, basis: Basis, answer: Answer) -> None:
+    """Fill one source's part of the answer (in place)."""
+    system = problem.system
+    pressure, integral, _ = _amplitudes(basis, problem.lag)
+    answer.output[source] = _outputs(problem, source, wells, basis, pressure)
+    flows = slice(problem.records.well_rows, problem.records.well_rows + system.fixed_count)
+    direct = _direct(problem, source, wells)[flows]
+    rows = (problem.records.rows @ wells.lift(basis.vectors))[flows]
+    answer.cumulative[source, :, :-1] = integral @ rows.T + problem.lag[:, None] * direct
+    stored = system.storage[: system.pores] @ basis.vectors
+    answer.cumulative[source, :, -1] = pressure @ stored
+    if len(problem.domain):
+        fields = _fields(problem, source, wells, basis, pressure)
+        answer.pressure[source] = fill_map(problem, source, fields)
+
+
+def _fields(
+    problem: Problem, source: int, wells: Algebraic, basis: Basis, amplitude: np.ndarray
+) -> np.ndarray:
+    """All unknowns (l, n) for given coefficients of the basis."""
+    system = problem.system
+    fields = np.empty((len(amplitude), system.n))
+    fields[:, : system.pores] = amplitude @ basis.vectors.T
+    fields[:, system.pores :] = amplitude @ wells.lift(basis.vectors)[
+        system.pores :
+    ].T + wells.direct(system.source(source))
+    return fields
+
+
+def _residual(problem: Problem, source: int, wells: Algebraic, basis: Basis) -> float:
+    """Relative residual of the flow equation at the last lag."""
+    system = problem.system
+    pressure, _, rate = _amplitudes(basis, problem.lag[-1:])
+    p = _fields(problem, source, wells, basis, pressure)[0]
+    dp = np.zeros(system.n)
+    dp[: system.pores] = basis.vectors @ rate[0]
+    return relative_residual(system, system.source(source), dp, p)

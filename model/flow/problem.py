@@ -1,0 +1,73 @@
+"""The one question that every flow solver answers, and helpers to answer it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.records import Records, map_rows
+from model.flow.system import System
+
+
+class Problem(NamedTuple):
+    """Unit step responses of the flow equation at given lags.
+
+    A solver returns `Answer`: for each active source, a step from 0 to 1 at time zero
+    with zero pressure change before.
+    """
+
+    system: System
+    records: Records
+    lag: np.ndarray  # (l,) s, increasing, ≥ 0
+    active: np.ndarray  # (sources,) bool; the others are left at zero
+    domain: np.ndarray  # (m,) domains of the maps, empty where none is asked for
+    tolerance: float
+    safety_factor: float
+
+
+class Answer(NamedTuple):
+    """What a solver found."""
+
+    output: np.ndarray  # (sources, l, o)
+    cumulative: np.ndarray  # (sources, l, fixed + 1) inflows of fixed pressures, stored volume
+    pressure: np.ndarray  # (sources, l, m)
+    time_error: float
+    residual: float
+    work: int
+
+
+def empty_answer(problem: Problem) -> Answer:
+    """An answer of zeros, to be filled source by source."""
+    sources, lags = problem.system.source_count, len(problem.lag)
+    return Answer(
+        output=np.zeros((sources, lags, problem.records.rows.shape[0])),
+        cumulative=np.zeros((sources, lags, problem.system.fixed_count + 1)),
+        pressure=np.zeros((sources, lags, len(problem.domain))),
+        time_error=0.0,
+        residual=0.0,
+        work=0,
+    )
+
+
+def fill_map(problem: Problem, source: int, fields: np.ndarray) -> np.ndarray:
+    """Pressure of the mapped domains (l, m) from the unknowns (l, n), for a unit source."""
+    node, fixed = map_rows(problem.system, problem.domain)
+    result = np.zeros((len(fields), len(problem.domain)))
+    known = node >= 0
+    result[:, known] = fields[:, node[known]]
+    result[:, fixed == source] = 1.0
+    return result
+
+
+def relative_residual(system: System, rhs: np.ndarray, rate: np.ndarray, p: np.ndarray) -> float:
+    """Size of C dp/dt + G p − f over that of the flows that meet in each unknown, at one time."""
+    flow = system.edge_g * (p[system.edge_i] - p[system.edge_j])
+    net = system.storage * rate - rhs
+    net = net + np.bincount(system.edge_i, weights=flow, minlength=system.n)
+    net = net - np.bincount(system.edge_j, weights=flow, minlength=system.n)
+    net = net + np.bincount(
+        system.fixed_node, weights=system.fixed_g * p[system.fixed_node], minlength=system.n
+    )
+    through = np.abs(rhs).sum()
+    return float(np.abs(net).sum() / through) if through > 0 else 0.0

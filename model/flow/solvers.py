@@ -1,0 +1,121 @@
+"""The registry of solvers and the *flow* stage that runs one of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.explicit import explicit
+from model.flow.krylov import krylov
+from model.flow.problem import Answer, Problem
+from model.flow.records import outputs
+from model.flow.steady import steady
+from model.flow.system import WellSite, assemble
+from model.network.domains import domains_at
+from model.products import Apertures, Network, Responses
+from model.region import Region
+from model.scene import Probe
+
+
+class FlowSolver(NamedTuple):
+    """A way to answer a `Problem`, and what it can do."""
+
+    run: Callable[[Problem], Answer]
+    transient: bool  # gives pressure in time; else the steady state alone
+    controls_error: bool  # `tolerance` bounds its error in time
+
+
+SOLVERS: dict[str, FlowSolver] = {
+    "explicit": FlowSolver(explicit, transient=True, controls_error=False),
+    "krylov": FlowSolver(krylov, transient=True, controls_error=True),
+    "steady": FlowSolver(steady, transient=False, controls_error=True),
+}
+
+
+def lags(times: tuple[float, ...], wells: tuple[WellSite, ...]) -> np.ndarray:
+    """Times since a step at which responses are needed, increasing, s.
+
+    The pressure is wanted at `times` and just before every rate change; the steps are
+    those changes and the start. Without times the one lag is infinity.
+    """
+    if not times:
+        return np.array([math.inf])
+    changes = change_times(wells)
+    wanted = np.concatenate([times, changes])
+    lag = wanted[:, None] - changes[None, :]
+    return np.unique(lag[lag >= 0.0])
+
+
+def change_times(wells: tuple[WellSite, ...]) -> np.ndarray:
+    """Times at which something changes: the start and every rate change, increasing, s."""
+    return np.unique([0.0, *(t for well in wells for t in well.change_times)])
+
+
+def flow(
+    network: Network,
+    apertures: Apertures,
+    *,
+    region: Region,
+    bulk_modulus: float,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+    active: tuple[bool, ...],
+    probes: tuple[Probe, ...],
+    times: tuple[float, ...],
+    method: str,
+    tolerance: float,
+    safety_factor: float,
+    record_map: bool,
+) -> Responses:
+    """Responses of the network to a unit step of each source (the *flow* stage).
+
+    The flow equation is linear while apertures stay fixed, so that any rate, schedule or
+    boundary pressure is a scaled and shifted sum of these; `model.observe` makes it.
+
+    Parameters
+    ----------
+    network, apertures : the open network.
+    region, bulk_modulus : parts of the scene; K_f in Pa.
+    wells : where the wells are and when they change, not how much.
+    sides : names of the sides at fixed pressure.
+    active : for each source (sides, wells at a pressure, wells at a rate), whether it acts.
+    probes : points whose pressure is recorded.
+    times : output times in s; empty for the steady state.
+    method, tolerance, safety_factor : of the solver, see `model.scene.Solver`.
+    record_map : whether the pressure of every domain is kept.
+
+    Raises `ModelError` where the solver cannot answer; its text says what to try.
+    """
+    system = assemble(
+        network,
+        apertures,
+        region=region,
+        bulk_modulus=bulk_modulus,
+        wells=wells,
+        sides=sides,
+    )
+    probe_domains = domains_at(network, np.array([p.at for p in probes]).reshape(-1, 2))
+    problem = Problem(
+        system=system,
+        records=outputs(system, probe_domains),
+        lag=lags(times, wells),
+        active=np.asarray(active, dtype=bool),
+        domain=np.flatnonzero(network.inside) if record_map else np.empty(0, dtype=np.int64),
+        tolerance=tolerance,
+        safety_factor=safety_factor,
+    )
+    answer = SOLVERS[method].run(problem)
+    return Responses(
+        lag=problem.lag,
+        output=answer.output,
+        cumulative=answer.cumulative,
+        pressure=answer.pressure,
+        domain=problem.domain,
+        time_error=np.asarray(answer.time_error),
+        residual=np.asarray(answer.residual),
+        work=np.asarray(answer.work),
+        isolated=np.asarray(system.isolated),
+    )

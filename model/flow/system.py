@@ -1,0 +1,286 @@
+"""The flow equation of a case: C dp/dt = −G p + f on pores and wells.
+
+Pores outside the region, inside a well, or reached by no source are not unknowns. A well
+at a given rate is one unknown without storage; sides and wells at a given pressure enter
+through the excess of the rows beside them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from model.network.domains import domains_at
+from model.products import Apertures, Network
+from model.region import Region
+
+# Peaceman (1978): on a regular grid the pressure of a well block is that at 0.2 of the
+# distance between its neighbours; a pore near the well's centre is taken to stand there.
+EQUIVALENT_RADIUS = 0.2
+
+# A pore may touch the wellbore; its logarithmic distance keeps this part of the pipe's.
+WELL_FLOOR = 0.02
+
+
+class WellSite(NamedTuple):
+    """What the flow stage knows of a well: not its rate."""
+
+    name: str
+    at: tuple[float, float]  # m
+    radius: float  # m
+    fixed_pressure: bool
+    change_times: tuple[float, ...]  # s, when its rate changes
+
+
+class System(NamedTuple):
+    """Unknowns 0 … n − 1: first the active pores, then the wells at a rate.
+
+    Sources are the fixed pressures (sides, then wells), then the wells at a rate.
+    """
+
+    domain: np.ndarray  # (pores,) the domain of each unknown pore
+    n: int  # unknowns
+    storage: np.ndarray  # (n,) C = V / K_f, zero for wells, m³/Pa
+    edge_i: np.ndarray  # (e,)
+    edge_j: np.ndarray  # (e,)
+    edge_g: np.ndarray  # (e,) m³/(s Pa)
+    fixed_node: np.ndarray  # (f,) unknown beside a fixed pressure
+    fixed_source: np.ndarray  # (f,) which one
+    fixed_g: np.ndarray  # (f,) m³/(s Pa)
+    sides: tuple[str, ...]  # names of the sides at fixed pressure
+    pressure_wells: tuple[int, ...]  # positions of the wells at fixed pressure
+    rate_wells: tuple[int, ...]  # positions of the wells at a rate
+    node_of_domain: np.ndarray  # (d,) unknown of each domain, −1 none
+    source_of_domain: np.ndarray  # (d,) fixed source whose pressure a domain has, −1 none
+    isolated: int  # pores inside the region that no source reaches
+
+    @property
+    def fixed_count(self) -> int:
+        """Number of fixed pressures, sides and wells."""
+        return len(self.sides) + len(self.pressure_wells)
+
+    @property
+    def source_count(self) -> int:
+        """Number of sources."""
+        return self.fixed_count + len(self.rate_wells)
+
+    @property
+    def pores(self) -> int:
+        """Number of unknown pores."""
+        return len(self.domain)
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Conductance of each unknown to fixed pressures, (n,) m³/(s Pa)."""
+        return np.bincount(self.fixed_node, weights=self.fixed_g, minlength=self.n)
+
+    def source(self, index: int) -> np.ndarray:
+        """Right-hand side for a unit of one source: 1 Pa, or 1 m³/s produced, (n,)."""
+        if index < self.fixed_count:
+            ours = self.fixed_source == index
+            return np.bincount(self.fixed_node[ours], weights=self.fixed_g[ours], minlength=self.n)
+        rhs = np.zeros(self.n)
+        rhs[self.pores + index - self.fixed_count] = -1.0
+        return rhs
+
+
+def assemble(
+    network: Network,
+    apertures: Apertures,
+    *,
+    region: Region,
+    bulk_modulus: float,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+) -> System:
+    """Set up the flow equation.
+
+    `sides` names the sides at fixed pressure (`outer` takes all of them); the others are
+    sealed. A pore in a well shares the well's pressure and stores nothing; a pipe that
+    leaves a well carries g ln(r_j / r_i) / ln(r_j / r_w), which is exact for the
+    logarithmic profile around it.
+    """
+    pressure_wells = tuple(k for k, w in enumerate(wells) if w.fixed_pressure)
+    rate_wells = tuple(k for k, w in enumerate(wells) if not w.fixed_pressure)
+    well_of = _wells_of_domains(network, wells)
+
+    # A terminal is a pore inside, a well, or a fixed pressure. Edges link pores and
+    # rate wells; links join them to fixed pressures.
+    d = len(network.x)
+    terminal = np.where(network.inside, np.arange(d), -1)
+    for k in range(len(wells)):
+        terminal[well_of == k] = d + k
+    i, j, g = _pipes(network, apertures, wells, well_of)
+    side_source = _sources_of_sides(region, sides)
+    rim = side_source[network.cut_side] if len(network.cut) else np.empty(0, dtype=np.int64)
+    open_rim = (rim >= 0) & (apertures.cut_conductance > 0.0)
+    is_fixed_well = np.zeros(d + len(wells), dtype=bool)
+    well_source = np.full(d + len(wells), -1)
+    for order, k in enumerate(pressure_wells):
+        is_fixed_well[d + k] = True
+        well_source[d + k] = len(sides) + order
+
+    a, b = terminal[i], terminal[j]
+    keep = a != b
+    a, b, g = a[keep], b[keep], g[keep]
+    fixed_a, fixed_b = is_fixed_well[a], is_fixed_well[b]
+    link_node = np.concatenate(
+        [a[fixed_b & ~fixed_a], b[fixed_a & ~fixed_b], terminal[network.cut_inside[open_rim]]]
+    )
+    link_source = np.concatenate(
+        [
+            well_source[b[fixed_b & ~fixed_a]],
+            well_source[a[fixed_a & ~fixed_b]],
+            rim[open_rim],
+        ]
+    )
+    link_g = np.concatenate(
+        [g[fixed_b & ~fixed_a], g[fixed_a & ~fixed_b], apertures.cut_conductance[open_rim]]
+    )
+    at_pore = ~is_fixed_well[link_node]
+    link_node, link_source, link_g = link_node[at_pore], link_source[at_pore], link_g[at_pore]
+    free = ~fixed_a & ~fixed_b
+    a, b, g = a[free], b[free], g[free]
+
+    reached = _reached(d + len(wells), a, b, link_node, [d + k for k in rate_wells])
+    pore = np.zeros(d + len(wells), dtype=bool)
+    pore[:d] = (terminal[:d] == np.arange(d)) & reached[:d]
+    domain = np.flatnonzero(pore)
+    number = np.full(d + len(wells), -1)
+    number[domain] = np.arange(len(domain))
+    for order, k in enumerate(rate_wells):
+        number[d + k] = len(domain) + order
+    inside_edges = (number[a] >= 0) & (number[b] >= 0)
+    node_of_domain = np.where(terminal >= 0, number[terminal], -1)
+    source_of_domain = np.where(terminal >= 0, well_source[terminal], -1)
+    return System(
+        domain=domain,
+        n=len(domain) + len(rate_wells),
+        storage=np.concatenate(
+            [apertures.volume[domain] / bulk_modulus, np.zeros(len(rate_wells))]
+        ),
+        edge_i=number[a[inside_edges]],
+        edge_j=number[b[inside_edges]],
+        edge_g=g[inside_edges],
+        fixed_node=number[link_node],
+        fixed_source=link_source,
+        fixed_g=link_g,
+        sides=sides,
+        pressure_wells=pressure_wells,
+        rate_wells=rate_wells,
+        node_of_domain=node_of_domain,
+        source_of_domain=source_of_domain,
+        isolated=int(
+            np.count_nonzero(network.inside & (node_of_domain < 0) & (source_of_domain < 0))
+        ),
+    )
+
+
+def _wells_of_domains(network: Network, wells: tuple[WellSite, ...]) -> np.ndarray:
+    """The well in which each domain lies, −1 outside of all."""
+    well_of = np.full(len(network.x), -1)
+    for k, well in enumerate(wells):
+        distance = np.hypot(network.x - well.at[0], network.y - well.at[1])
+        within = (distance < well.radius) & network.inside
+        if not within.any():
+            within = np.zeros(len(network.x), dtype=bool)
+            within[domains_at(network, np.array([well.at]))] = True
+        well_of[within] = k
+    return well_of
+
+
+def _pipes(
+    network: Network, apertures: Apertures, wells: tuple[WellSite, ...], well_of: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Conducting pipes between domains inside the region, placed at the wells' walls."""
+    i, j = network.pipe_from, network.pipe_to
+    conducts = network.inside[i] & network.inside[j] & (apertures.conductance > 0.0)
+    pipe = np.flatnonzero(conducts)
+    i, j, g = i[pipe], j[pipe], apertures.conductance[pipe].copy()
+    for k, well in enumerate(wells):
+        for inner, outer, place_outer in (
+            (i, j, apertures.pipe_trace_to[pipe]),
+            (j, i, apertures.pipe_trace_from[pipe]),
+        ):
+            leaves = np.flatnonzero((well_of[inner] == k) & (well_of[outer] < 0))
+            on_trace = ~np.isnan(place_outer[leaves])
+            ours = leaves[~on_trace]
+            g[ours] *= _well_factor(network, well, inner[ours], outer[ours])
+            ours = leaves[on_trace]
+            g[ours] = _trace_at_well(apertures, well, pipe[ours], place_outer[ours], g[ours])
+    return i, j, g
+
+
+def _well_factor(
+    network: Network, well: WellSite, inner: np.ndarray, outer: np.ndarray
+) -> np.ndarray:
+    """Logarithmic correction ln(r_j / r_i) / ln(r_j / r_w) of pipes that leave a well."""
+    x0, y0 = well.at
+    r_in = np.hypot(network.x[inner] - x0, network.y[inner] - y0)
+    r_out = np.hypot(network.x[outer] - x0, network.y[outer] - y0)
+    between = np.hypot(network.x[inner] - network.x[outer], network.y[inner] - network.y[outer])
+    r_in = np.maximum(r_in, EQUIVALENT_RADIUS * between)
+    whole = np.log(np.maximum(r_out, 1.001 * r_in) / r_in)
+    return whole / np.maximum(np.log(r_out / well.radius), WELL_FLOOR * whole)
+
+
+def _trace_at_well(
+    apertures: Apertures,
+    well: WellSite,
+    pipe: np.ndarray,
+    place: np.ndarray,
+    conductance: np.ndarray,
+) -> np.ndarray:
+    """Conductance T / (distance along the trace from the well's wall) of calibrated pipes."""
+    result = conductance.copy()
+    for k, p in enumerate(pipe):
+        trace = apertures.on_fracture[p]
+        start, end = apertures.trace_start[trace], apertures.trace_end[trace]
+        along = (end - start) / np.hypot(*(end - start))
+        offset = start - np.asarray(well.at)
+        half = offset @ along
+        square = half * half - offset @ offset + well.radius**2
+        if square <= 0.0:
+            continue
+        walls = np.array([-half - np.sqrt(square), -half + np.sqrt(square)])
+        whole = abs(apertures.pipe_trace_to[p] - apertures.pipe_trace_from[p])
+        distance = max(np.abs(place[k] - walls).min(), WELL_FLOOR * whole)
+        result[k] = apertures.trace_transmissivity[trace] / distance
+    return result
+
+
+def _sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
+    """The source that fixes each side of the region, −1 where it is sealed."""
+    source = np.full(len(region.sides), -1)
+    for order, name in enumerate(sides):
+        if name == "outer":
+            source[:] = order
+        else:
+            source[region.sides.index(name)] = order
+    return source
+
+
+def _reached(
+    n: int, a: np.ndarray, b: np.ndarray, fixed: np.ndarray, rate_nodes: list[int]
+) -> np.ndarray:
+    """Which terminals are connected to a fixed pressure or a well."""
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    reached = np.zeros(label.max() + 1, dtype=bool)
+    reached[label[fixed]] = True
+    reached[label[rate_nodes]] = True
+    return reached[label]
+
+
+def without_outlet(system: System) -> bool:
+    """Whether some unknown is connected to no fixed pressure, so that no steady state exists."""
+    graph = coo_array(
+        (np.ones(len(system.edge_i)), (system.edge_i, system.edge_j)), shape=(system.n, system.n)
+    )
+    _, label = connected_components(graph, directed=False)
+    held = np.zeros(label.max() + 1, dtype=bool)
+    held[label[system.fixed_node]] = True
+    return not bool(held[label].all())

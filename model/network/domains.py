@@ -1,0 +1,212 @@
+"""From grains and contacts to domains and pipes (the *network* stage)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from model.network.faces import (
+    crossing_pairs,
+    locate,
+    measure_faces,
+    next_half_edges,
+    prune,
+    walk_faces,
+)
+from model.outcome import ModelError
+from model.products import Network, Packing
+from model.region import Circle, Region, contains, exit_point
+
+# A domain keeps at least this part of the mean pore volume: overlapping grains can leave
+# none, and the explicit step shrinks with the smallest.
+VOLUME_FLOOR = 1e-6
+
+# A centroid may lie on the rim itself; its distance to the rim is kept above this part of
+# the distance between the centroids.
+CUT_FLOOR = 0.02
+
+
+def network(packing: Packing, *, region: Region) -> Network:
+    """Build the pores and pipes of a packing, and cut them along the rim of the region.
+
+    A domain is a bounded face of the graph of contacts; its pore volume is the area of
+    the polygon less the sectors of its grains and less the floaters inside it. A pipe
+    stands at each contact between two domains. The domains inside the region are those
+    whose centroid is; a pipe from one inside to one outside is cut where it meets the
+    rim. Grains with fewer than two contacts, and clusters apart from the largest, bound
+    no face: they count as floaters.
+
+    Raises `ModelError` where no domain lies inside the region.
+    """
+    x, y, radius = packing.x, packing.y, packing.radius
+    a, b, dropped = _without_crossings(packing.contact_a, packing.contact_b, x, y, radius)
+    a, b = _load_bearing(len(x), a, b)
+    if len(a) == 0:
+        raise ModelError(
+            "the grains enclose no pore: too few of them touch; raise grains.count or lower "
+            "grains.porosity"
+        )
+    first, corner_grain, corner_half_edge, face = _faces(a, b, x, y)
+    area, cx, cy, void = measure_faces(first, corner_grain, x, y, radius)
+    bounded = area > 0.0
+    domain_of_face = np.where(bounded, np.cumsum(bounded) - 1, -1)
+
+    corners = np.diff(first)
+    corner_kept = np.repeat(bounded, corners)
+    corner_grain = corner_grain[corner_kept]
+    corner_half_edge = corner_half_edge[corner_kept]
+    corner_start = np.concatenate([[0], np.cumsum(corners[bounded])])
+    area, cx, cy, volume = area[bounded], cx[bounded], cy[bounded], void[bounded]
+
+    left, right = domain_of_face[face[0::2]], domain_of_face[face[1::2]]
+    is_pipe = (left >= 0) & (right >= 0) & (left != right)
+    pipe_of_contact = np.where(is_pipe, np.cumsum(is_pipe) - 1, -1)
+    a, b, left, right = a[is_pipe], b[is_pipe], left[is_pipe], right[is_pipe]
+
+    carried = np.zeros(len(x), dtype=bool)
+    carried[corner_grain] = True
+    floaters = np.flatnonzero(~carried)
+    host = locate(x[floaters], y[floaters], corner_start, corner_grain, x, y)
+    inside_void = host >= 0
+    np.subtract.at(volume, host[inside_void], np.pi * radius[floaters[inside_void]] ** 2)
+
+    inside = contains(region, np.column_stack([cx, cy]))
+    if not inside.any():
+        raise ModelError(
+            "no pore lies inside the region: the grains are larger than it; raise grains.count"
+        )
+    floor = VOLUME_FLOOR * volume[inside].mean()
+    slivers = volume < floor
+    volume = np.maximum(volume, floor)
+
+    cut, cut_inside, cut_outside = _cut_pipes(inside, left, right)
+    side, fraction = _cut_places(region, cx, cy, cut_inside, cut_outside)
+    return Network(
+        x=cx,
+        y=cy,
+        volume=volume,
+        area=area,
+        inside=inside,
+        corner_start=corner_start,
+        corner_grain=corner_grain,
+        corner_pipe=pipe_of_contact[corner_half_edge >> 1],
+        pipe_from=left,
+        pipe_to=right,
+        pipe_grain_a=a,
+        pipe_grain_b=b,
+        pipe_length=radius[a] + radius[b],
+        cut=cut,
+        cut_inside=cut_inside,
+        cut_outside=cut_outside,
+        cut_side=side,
+        cut_fraction=fraction,
+        grain_x=x,
+        grain_y=y,
+        grain_radius=radius,
+        porosity=np.asarray(volume[inside].sum() / area[inside].sum()),
+        floaters=np.asarray(np.count_nonzero(inside[host[inside_void]])),
+        slivers=np.asarray(np.count_nonzero(slivers & inside)),
+        crossing_edges=np.asarray(dropped),
+    )
+
+
+def domains_at(network: Network, points: np.ndarray) -> np.ndarray:
+    """The domain in which each point (n, 2) lies, else the nearest inside the region."""
+    points = np.asarray(points, dtype=float).reshape(-1, 2)
+    found = locate(
+        points[:, 0].copy(),
+        points[:, 1].copy(),
+        network.corner_start,
+        network.corner_grain,
+        network.grain_x,
+        network.grain_y,
+    )
+    lost = (found < 0) | ~network.inside[found]
+    if lost.any():
+        candidates = np.flatnonzero(network.inside)
+        tree = cKDTree(np.column_stack([network.x[candidates], network.y[candidates]]))
+        found[lost] = candidates[tree.query(points[lost])[1]]
+    return found
+
+
+def _faces(
+    a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Trace all faces: half-edges sorted by angle around each grain, then walked."""
+    origin = np.empty(2 * len(a), dtype=np.int64)
+    origin[0::2], origin[1::2] = a, b
+    angle = np.empty(2 * len(a))
+    angle[0::2] = np.arctan2(y[b] - y[a], x[b] - x[a])
+    angle[1::2] = np.arctan2(y[a] - y[b], x[a] - x[b])
+    half_edges = np.lexsort((angle, origin))
+    start = np.searchsorted(origin[half_edges], np.arange(len(x) + 1))
+    return walk_faces(next_half_edges(start, half_edges, a, b), origin)
+
+
+def _without_crossings(
+    a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray, radius: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Drop contacts that cross another, the one with the wider gap first."""
+    if len(a) < 2:
+        return a, b, 0
+    length = np.hypot(x[b] - x[a], y[b] - y[a])
+    middle = np.column_stack([0.5 * (x[a] + x[b]), 0.5 * (y[a] + y[b])])
+    # two segments that cross have midpoints nearer than half the sum of their lengths
+    pairs = cKDTree(middle).query_pairs(float(length.max()), output_type="ndarray")
+    near = np.hypot(*(middle[pairs[:, 0]] - middle[pairs[:, 1]]).T)
+    pairs = pairs[near < 0.5 * (length[pairs[:, 0]] + length[pairs[:, 1]])]
+    pairs = pairs[crossing_pairs(pairs, a, b, x, y)]
+    if len(pairs) == 0:
+        return a, b, 0
+    gap = length - radius[a] - radius[b]
+    keep = np.ones(len(a), dtype=bool)
+    for e, f in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
+        if keep[e] and keep[f]:
+            keep[e if gap[e] > gap[f] else f] = False
+    return a[keep], b[keep], int(np.count_nonzero(~keep))
+
+
+def _load_bearing(n: int, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Contacts of the largest cluster in which every grain has two of them or more."""
+    kept = prune(n, a, b)
+    a, b = a[kept], b[kept]
+    if len(a) == 0:
+        return a, b
+    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
+    _, label = connected_components(graph, directed=False)
+    largest = np.argmax(np.bincount(label[a]))
+    kept = label[a] == largest
+    return a[kept], b[kept]
+
+
+def _cut_pipes(
+    inside: np.ndarray, left: np.ndarray, right: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pipes that leave the region, with the domain at their inner and their outer end."""
+    cut = np.flatnonzero(inside[left] != inside[right])
+    inner = np.where(inside[left[cut]], left[cut], right[cut])
+    outer = np.where(inside[left[cut]], right[cut], left[cut])
+    return cut, inner, outer
+
+
+def _cut_places(
+    region: Region, x: np.ndarray, y: np.ndarray, inner: np.ndarray, outer: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Side on which each cut pipe meets the rim, and the part of the pipe that lies inside.
+
+    On a circular rim pressure varies as the logarithm of the radius, so that the part is
+    ln(r_e / r_i) / ln(r_j / r_i).
+    """
+    start = np.column_stack([x[inner], y[inner]])
+    end = np.column_stack([x[outer], y[outer]])
+    fraction, side = exit_point(region, start, end)
+    if isinstance(region, Circle):
+        r_in, r_out = np.hypot(*start.T), np.hypot(*end.T)
+        # a pore at the very centre has no logarithm; the straight fraction serves there
+        off_centre = r_in > 0.1 * region.radius
+        ratio = np.log(region.radius / r_in, where=off_centre, out=np.ones_like(r_in))
+        whole = np.log(r_out / r_in, where=off_centre, out=np.ones_like(r_in))
+        fraction = np.where(off_centre, ratio / whole, fraction)
+    return side, np.clip(fraction, CUT_FLOOR, 1.0)

@@ -1,0 +1,295 @@
+"""Fracture traces on the network: which pipes run along a line, and which across it.
+
+A trace gives every grain one sign, the side on which its centre lies (zero counts as
+minus). The contacts whose two grains differ in sign cross the line; walking from face
+to face across them gives a chain of pipes that cannot break, however the grains lie.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from model.compile import kernel
+from model.products import Network
+from model.region import Region, bounding_box, clip_segment
+from model.scene import BiWing, Fracture, FractureSet
+
+# Places along a trace are kept apart by this part of their mean distance: two contacts of
+# one grain can meet the line at the same point.
+LEAST_SPACING = 1e-3
+
+
+class Line(NamedTuple):
+    """A straight trace inside the region."""
+
+    fracture: int  # index of the fracture in the scene
+    start: tuple[float, float]  # m
+    end: tuple[float, float]  # m
+    start_at_rim: bool  # the fracture leaves the region there
+    end_at_rim: bool
+
+    @property
+    def length(self) -> float:
+        """Length in m."""
+        return math.dist(self.start, self.end)
+
+
+class Chain(NamedTuple):
+    """The pores and pipes along a trace, in order."""
+
+    domain: np.ndarray  # (k,) inside the region
+    place: np.ndarray  # (k,) m along the trace
+    storage_length: np.ndarray  # (k,) m of the trace that each pore stands for
+    pipe: np.ndarray  # (k - 1,) pipe between neighbours
+    rim_pipe: tuple[int, int]  # pipe from the first / last pore to the rim, −1 where none
+    length: float  # m
+
+
+def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
+    """Every straight trace of the scene's fractures, clipped to the region."""
+    lines = []
+    for index, fracture in enumerate(fractures):
+        for start, end in _segments(fracture, region):
+            for s0, s1 in clip_segment(region, start, end):
+                a = np.asarray(start) + s0 * (np.asarray(end) - start)
+                b = np.asarray(start) + s1 * (np.asarray(end) - start)
+                lines.append(
+                    Line(
+                        index,
+                        (float(a[0]), float(a[1])),
+                        (float(b[0]), float(b[1])),
+                        s0 > 0.0,
+                        s1 < 1.0,
+                    )
+                )
+    return lines
+
+
+def chain_along(network: Network, line: Line) -> Chain:
+    """The chain of pores along a trace, placed on it.
+
+    A pore stands at the middle of the stretch of trace on which the chain passes it; at a
+    tip the trace ends in the pore, so its place is the tip itself. The places increase
+    strictly from 0 to the length of the trace. A trace that crosses no contact inside the
+    region gives an empty chain.
+    """
+    domain, pipe, crossing = _walk(network, line)
+    run = _inside_run(network, domain, crossing, line)
+    if run is None:
+        none = np.empty(0, dtype=np.int64)
+        return Chain(none, np.empty(0), np.empty(0), none, (-1, -1), line.length)
+    lo, hi = run
+    rim_start = int(pipe[lo - 1]) if lo > 0 and line.start_at_rim else -1
+    rim_end = int(pipe[hi]) if hi < len(pipe) and line.end_at_rim else -1
+    entry = np.concatenate([[-np.inf], crossing])[lo : hi + 1]
+    leave = np.concatenate([crossing, [np.inf]])[lo : hi + 1]
+    entry = np.clip(entry, 0.0, line.length)
+    leave = np.clip(leave, 0.0, line.length)
+    place = _spread(0.5 * (entry + leave), line.length, rim_start >= 0, rim_end >= 0)
+    return Chain(
+        domain[lo : hi + 1],
+        place,
+        np.maximum(leave - entry, 0.0),
+        pipe[lo:hi],
+        (rim_start, rim_end),
+        line.length,
+    )
+
+
+def pipes_across(network: Network, line: Line) -> np.ndarray:
+    """Pipes whose segment from centroid to centroid crosses the trace, as a mask (p,).
+
+    A trace that leaves the region is continued beyond the rim, where its pores end.
+    """
+    start, end = np.asarray(line.start), np.asarray(line.end)
+    along = (end - start) / line.length
+    reach = _reach(network)
+    start = start - along * (reach if line.start_at_rim else 0.0)
+    end = end + along * (reach if line.end_at_rim else 0.0)
+    p = np.column_stack([network.x[network.pipe_from], network.y[network.pipe_from]])
+    q = np.column_stack([network.x[network.pipe_to], network.y[network.pipe_to]])
+    plus_p, plus_q = _side(p, start, end), _side(q, start, end)
+    differ = np.flatnonzero(plus_p != plus_q)
+    crosses = np.zeros(len(p), dtype=bool)
+    crosses[differ] = _side(np.broadcast_to(start, (len(differ), 2)), p[differ], q[differ]) != (
+        _side(np.broadcast_to(end, (len(differ), 2)), p[differ], q[differ])
+    )
+    return crosses
+
+
+def _segments(
+    fracture: Fracture, region: Region
+) -> list[tuple[tuple[float, float], tuple[float, float]]]:
+    """Ends of every straight piece of a fracture, before clipping."""
+    if isinstance(fracture, BiWing):
+        dx = fracture.half_length * math.cos(fracture.angle)
+        dy = fracture.half_length * math.sin(fracture.angle)
+        x, y = fracture.at
+        return [((x - dx, y - dy), (x + dx, y + dy))]
+    if not isinstance(fracture, FractureSet):
+        return [(fracture.start, fracture.end)]
+    along = np.array([math.cos(fracture.angle), math.sin(fracture.angle)])
+    across = np.array([-along[1], along[0]])
+    xmin, xmax, ymin, ymax = bounding_box(region)
+    corners = np.array([(xmin, ymin), (xmax, ymin), (xmin, ymax), (xmax, ymax)])
+    period = fracture.length + (fracture.spacing if fracture.gap is None else fracture.gap)
+    rows = np.arange(
+        math.ceil((corners @ across).min() / fracture.spacing),
+        math.floor((corners @ across).max() / fracture.spacing) + 1,
+    )
+    low, high = (corners @ along).min(), (corners @ along).max()
+    segments = []
+    for row in rows:
+        shift = 0.5 * period * (row % 2)
+        first = math.floor((low - shift - 0.5 * fracture.length) / period)
+        last = math.ceil((high - shift + 0.5 * fracture.length) / period)
+        for k in range(first, last + 1):
+            middle = row * fracture.spacing * across + (k * period + shift) * along
+            a, b = middle - 0.5 * fracture.length * along, middle + 0.5 * fracture.length * along
+            segments.append(((float(a[0]), float(a[1])), (float(b[0]), float(b[1]))))
+    return segments
+
+
+def _side(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Whether points (n, 2) lie strictly left of the directed line(s) start → end."""
+    start, end = np.atleast_2d(start), np.atleast_2d(end)
+    return (end[:, 0] - start[:, 0]) * (points[:, 1] - start[:, 1]) > (end[:, 1] - start[:, 1]) * (
+        points[:, 0] - start[:, 0]
+    )
+
+
+def _reach(network: Network) -> float:
+    """A distance that spans a few of the largest pores, m."""
+    return 4.0 * float(np.sqrt(network.area.max()))
+
+
+def _walk(network: Network, line: Line) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Domains, pipes between them and where the trace crosses those, loops erased.
+
+    Beyond an end at the rim the walk goes on for a few pores, so that it leaves the region.
+    """
+    start, end = np.asarray(line.start), np.asarray(line.end)
+    along = (end - start) / line.length
+    grains = np.column_stack([network.grain_x, network.grain_y])
+    offset = grains - start
+    height = offset[:, 1] * along[0] - offset[:, 0] * along[1]
+    s = offset @ along
+    plus = height > 0.0
+
+    g, h = network.pipe_grain_a, network.pipe_grain_b
+    crossed = np.flatnonzero(plus[g] != plus[h])
+    t = height[g[crossed]] / (height[g[crossed]] - height[h[crossed]])
+    where = np.full(len(g), np.nan)
+    where[crossed] = s[g[crossed]] + t * (s[h[crossed]] - s[g[crossed]])
+
+    reach = _reach(network)
+    low = -reach if line.start_at_rim else 0.0
+    high = line.length + (reach if line.end_at_rim else 0.0)
+    candidates = crossed[(where[crossed] >= low) & (where[crossed] <= high)]
+    if len(candidates) == 0:
+        nothing = np.empty(0, dtype=np.int64)
+        return nothing, nothing, np.empty(0)
+    first_pipe = candidates[np.argmin(where[candidates])]
+    domain, pipe = _follow(
+        int(first_pipe),
+        high,
+        where,
+        plus,
+        network.corner_start,
+        network.corner_grain,
+        network.corner_pipe,
+        network.pipe_from,
+        network.pipe_to,
+        len(crossed),
+    )
+    return domain, pipe, where[pipe]
+
+
+@kernel
+def _follow(
+    first_pipe, high, where, plus, corner_start, corner_grain, corner_pipe, left, right, bound
+):
+    """Walk along the line from the pore behind `first_pipe`, keeping plus grains to the left."""
+    domain = np.empty(bound + 2, np.int64)
+    pipe = np.empty(bound + 1, np.int64)
+    # the pore ahead is the one in which the shared edge runs from plus to minus
+    count = 0
+    ahead, corner = left[first_pipe], -1
+    for attempt in range(2):
+        ahead = left[first_pipe] if attempt == 0 else right[first_pipe]
+        lo, hi = corner_start[ahead], corner_start[ahead + 1]
+        for k in range(lo, hi):
+            after = corner_grain[k + 1] if k + 1 < hi else corner_grain[lo]
+            if corner_pipe[k] == first_pipe and plus[corner_grain[k]] and not plus[after]:
+                corner = k
+        if corner >= 0:
+            break
+    domain[0] = right[first_pipe] if ahead == left[first_pipe] else left[first_pipe]
+    domain[1] = ahead
+    pipe[0] = first_pipe
+    count = 1
+    for _ in range(bound):
+        lo, hi = corner_start[ahead], corner_start[ahead + 1]
+        k = corner
+        leaving = -1
+        for _turn in range(hi - lo):
+            k = k + 1 if k + 1 < hi else lo
+            after = corner_grain[k + 1] if k + 1 < hi else corner_grain[lo]
+            if not plus[corner_grain[k]] and plus[after]:
+                leaving = k
+                break
+        if leaving < 0 or corner_pipe[leaving] < 0:
+            break
+        p = corner_pipe[leaving]
+        if where[p] > high or p == first_pipe:
+            break
+        ahead = right[p] if left[p] == ahead else left[p]
+        lo, hi = corner_start[ahead], corner_start[ahead + 1]
+        for k in range(lo, hi):
+            if corner_pipe[k] == p:
+                corner = k
+        seen = -1
+        for i in range(count + 1):
+            if domain[i] == ahead:
+                seen = i
+        if seen >= 0:
+            count = seen  # a loop: forget the way since the pore was first entered
+        else:
+            pipe[count] = p
+            count += 1
+            domain[count] = ahead
+    return domain[: count + 1].copy(), pipe[:count].copy()
+
+
+def _inside_run(
+    network: Network, domain: np.ndarray, crossing: np.ndarray, line: Line
+) -> tuple[int, int] | None:
+    """First and last position of the longest unbroken stretch of pores inside the region."""
+    if len(domain) == 0:
+        return None
+    inside = np.concatenate([[False], network.inside[domain], [False]])
+    starts = np.flatnonzero(~inside[:-1] & inside[1:])
+    ends = np.flatnonzero(inside[:-1] & ~inside[1:]) - 1
+    if len(starts) == 0:
+        return None
+    k = int(np.argmax(ends - starts))
+    return int(starts[k]), int(ends[k])
+
+
+def _spread(place: np.ndarray, length: float, rim_start: bool, rim_end: bool) -> np.ndarray:
+    """Places that increase strictly, with tips at the ends and rims just beyond them."""
+    place = place.copy()
+    if not rim_start:
+        place[0] = 0.0
+    if not rim_end and (len(place) > 1 or rim_start):
+        place[-1] = length
+    nodes = np.concatenate([[0.0] if rim_start else [], place, [length] if rim_end else []])
+    if len(nodes) < 2:
+        return place
+    even = np.linspace(0.0, length, len(nodes))
+    if np.min(np.diff(nodes)) < LEAST_SPACING * even[1]:
+        nodes = (1.0 - LEAST_SPACING) * np.maximum.accumulate(nodes) + LEAST_SPACING * even
+    return nodes[int(rim_start) : len(nodes) - int(rim_end)]

@@ -1,0 +1,177 @@
+"""From responses to what a study asks for (the *observe* stage): scale, shift and sum."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.solvers import change_times
+from model.flow.system import WellSite
+from model.products import Responses
+from model.scene import Scene, Well
+from model.transient import bourdet_derivative, flow_periods, pressure_change
+
+
+class Controls(NamedTuple):
+    """How much: the part of a scene that scales responses, in the order of the sources."""
+
+    reference: float  # Pa, the pressure from which changes count
+    side_pressures: tuple[float, ...]  # Pa, of the sides at fixed pressure
+    wells: tuple[Well, ...]
+    times: tuple[float, ...]  # s
+    transient: bool
+
+
+def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
+    """What the flow stage may know of the wells: all but how much they produce."""
+    return tuple(
+        WellSite(
+            w.name, w.at, w.radius, w.pressure is not None, tuple(t for t, _ in w.rate_changes)
+        )
+        for w in wells
+    )
+
+
+def controls(scene: Scene) -> Controls:
+    """The controls of a scene."""
+    transient = scene.method != "steady"
+    reference = scene.initial_pressure
+    if reference is None or not transient:
+        held = [p for _, p in scene.boundaries]
+        held += [w.pressure for w in scene.wells if w.pressure is not None]
+        reference = held[0] if held else 0.0
+    return Controls(
+        reference,
+        tuple(p for _, p in scene.boundaries),
+        scene.wells,
+        scene.times if transient else (),
+        transient,
+    )
+
+
+def active_sources(scene: Scene) -> tuple[bool, ...]:
+    """Which sources act at all, in their order: sides, wells at a pressure, wells at a rate."""
+    told = controls(scene)
+    fixed = [*told.side_pressures, *(w.pressure for w in told.wells if w.pressure is not None)]
+    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in told.wells if w.pressure is None]
+    return (*(p != told.reference for p in fixed), *rates)
+
+
+def step_sizes(told: Controls) -> list[list[tuple[float, float]]]:
+    """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
+    fixed = [*told.side_pressures, *(w.pressure for w in told.wells if w.pressure is not None)]
+    steps = [[(0.0, pressure - told.reference)] for pressure in fixed]
+    for well in told.wells:
+        if well.pressure is None:
+            rates = [0.0, *(q for _, q in well.rate_changes)]
+            steps.append(
+                [(t, new - old) for (t, new), old in zip(well.rate_changes, rates, strict=False)]
+            )
+    return steps
+
+
+def superpose(
+    responses: np.ndarray, lag: np.ndarray, steps: list[list[tuple[float, float]]], at: np.ndarray
+) -> np.ndarray:
+    """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
+
+    A step acts after its time, not at it. At infinity (a steady study) every step acts.
+    """
+    total = np.zeros((len(at), *responses.shape[2:]))
+    for source, changes in enumerate(steps):
+        for time, size in changes:
+            if size == 0.0:
+                continue
+            since = at - time if math.isfinite(at[0]) else at
+            acts = since > 0.0
+            total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
+    return total
+
+
+def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
+    """Well pressures and rates, boundary flows, probes and the balance of one case.
+
+    A steady study has no time dimension.
+    """
+    steps = step_sizes(told)
+    changes = change_times(sites(told.wells))
+    times = np.asarray(told.times) if told.transient else np.array([math.inf])
+    output = superpose(responses.output, responses.lag, steps, times)
+    rate_wells = [k for k, w in enumerate(told.wells) if w.pressure is None]
+    pressure_wells = [k for k, w in enumerate(told.wells) if w.pressure is not None]
+    sides, wells = len(told.side_pressures), len(told.wells)
+
+    pressure = np.empty((wells, len(times)))
+    rate = np.empty((wells, len(times)))
+    pressure[rate_wells] = told.reference + output[:, : len(rate_wells)].T
+    for k in pressure_wells:
+        pressure[k] = told.wells[k].pressure
+    flows = output[:, len(rate_wells) : len(rate_wells) + sides + len(pressure_wells)].T
+    rate[pressure_wells] = -flows[sides:]
+    for k in rate_wells:
+        starts = np.array([t for t, _ in told.wells[k].rate_changes])
+        rates = np.array([0.0, *(q for _, q in told.wells[k].rate_changes)])
+        # the rate that led to the pressure at a time: a change acts after its time
+        rate[k] = rates[np.searchsorted(starts, times)]
+    probes = told.reference + output[:, len(rate_wells) + sides + len(pressure_wells) :].T
+    found = {
+        "well_pressure": pressure,
+        "well_rate": rate,
+        "boundary_flow": flows[:sides],
+        "probe_pressure": probes,
+        "mass_balance_error": np.asarray(_imbalance(responses, told, steps, times, rate, flows)),
+        "residual": responses.residual,
+        "time_error": responses.time_error,
+        "isolated_domains": responses.isolated,
+    }
+    if not told.transient:
+        for name in ("well_pressure", "well_rate", "boundary_flow", "probe_pressure"):
+            found[name] = found[name][:, 0]
+        return found
+    at_changes = superpose(responses.output, responses.lag, steps, changes)
+    change = np.full_like(pressure, np.nan)
+    derivative = np.full_like(pressure, np.nan)
+    for order, k in enumerate(rate_wells):
+        starts, sign = flow_periods(told.wells[k].rate_changes)
+        before = told.reference + at_changes[np.searchsorted(changes, starts), order]
+        change[k] = pressure_change(times, pressure[k], starts, before, sign)
+        derivative[k] = bourdet_derivative(times, change[k], starts)
+    found["pressure_change"] = change
+    found["pressure_derivative"] = derivative
+    return found
+
+
+def pressure_map(responses: Responses, told: Controls) -> np.ndarray:
+    """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study."""
+    times = np.asarray(told.times) if told.transient else np.array([math.inf])
+    change = superpose(responses.pressure, responses.lag, step_sizes(told), times)
+    return told.reference + change
+
+
+def _imbalance(
+    responses: Responses,
+    told: Controls,
+    steps: list[list[tuple[float, float]]],
+    times: np.ndarray,
+    rate: np.ndarray,
+    flows: np.ndarray,
+) -> float:
+    """Largest imbalance over the volume moved: in time, or of the steady rates."""
+    fixed_wells = sum(w.pressure is not None for w in told.wells)
+    if not told.transient:
+        produced = np.array([rate[k, 0] for k, w in enumerate(told.wells) if w.pressure is None])
+        moved = np.abs(flows).sum() + np.abs(produced).sum()
+        return float(abs(flows.sum() - produced.sum()) / moved) if moved > 0 else 0.0
+    volumes = superpose(responses.cumulative, responses.lag, steps, times)
+    let_in, stored = volumes[:, :-1], volumes[:, -1]
+    produced = np.zeros(len(times))
+    moved = np.abs(let_in).sum(axis=1) + np.abs(stored)
+    for source_steps in steps[len(told.side_pressures) + fixed_wells :]:
+        for time, size in source_steps:
+            volume = size * np.maximum(times - time, 0.0)
+            produced += volume
+            moved += np.abs(volume)
+    error = np.abs(stored - let_in.sum(axis=1) + produced)
+    return float(np.max(error[moved > 0] / moved[moved > 0], initial=0.0))
