@@ -10,22 +10,16 @@ from model.flow.factor import analyse, factorise, solve
 from model.network.apertures import uniform
 from model.outcome import ModelError
 from model.products import Apertures, Network
-from model.region import Region, bounding_box, contains
-
-# The rim holds the pressure on a straight line, which stiffens the pores beside it; the
-# tensor is measured in the core, the region shrunk to this part about its centre.
-CORE = 0.8
 
 
-def permeability(
-    network: Network, apertures: Apertures, *, region: Region, viscosity: float
-) -> np.ndarray:
-    """Permeability tensor (2, 2) in m² of the core of the region.
+def permeability(network: Network, apertures: Apertures, *, viscosity: float) -> np.ndarray:
+    """Permeability tensor (2, 2) in m² of the region.
 
-    Pressure p = −x, then p = −y, is imposed along the whole rim. With the dissipation
-    E_ab = Σ g Δp_a Δp_b / A over the pipes of the core (a pipe between core and outside
-    counts half) and the mean gradient H of the core, least squares weighted by area, the
-    tensor is k = μ H⁻ᵀ E H⁻¹: symmetric, and exact wherever the pressure is linear.
+    Pressure p = −x, then p = −y, is imposed along the whole rim, so that the mean gradient
+    is exactly −1 along either axis and k_ab = μ Σ g Δp_a Δp_b / A (Hill's lemma): the
+    dissipation of the pipes inside, and of the half of each cut pipe that belongs to the
+    pore inside, over the area of the polygons. Symmetric to round-off, and exact wherever
+    the pressure is linear. Wells are left out.
 
     Raises `ModelError` where no pipe conducts.
     """
@@ -62,45 +56,23 @@ def permeability(
     )
     p = solve(factorise(analyse(len(nodes), i, j), g, excess), rhs)
 
-    core = _core(network, region)[nodes]
-    if np.count_nonzero(core & held) < 3:
-        core = np.ones(len(nodes), dtype=bool)
     drop = p[i] - p[j]
-    weight = 0.5 * (core[i].astype(float) + core[j]) * g
     rim_drop = p[rim] + np.column_stack([rim_x, rim_y])
-    # of a cut pipe, the half that belongs to the pore inside is 1/(2t) of the part to the rim
-    rim_weight = np.where(core[rim], np.minimum(0.5 / t, 1.0) * rim_g, 0.0)
-    dissipation = drop.T @ (weight[:, None] * drop)
-    dissipation += rim_drop.T @ (rim_weight[:, None] * rim_drop)
-    dissipation /= network.area[nodes][core].sum()
-    gradient = _mean_gradient(network, nodes[core & held], p[core & held])
-    back = np.linalg.inv(gradient)
-    tensor = viscosity * back.T @ dissipation @ back
+    # the half that belongs to the pore inside is 1 / (2t) of the part up to the rim; along a
+    # fracture that part is measured on the trace and taken as it is
+    half = np.where(apertures.on_fracture[network.cut] >= 0, 1.0, 0.5 / t)
+    dissipation = drop.T @ (g[:, None] * drop)
+    dissipation += rim_drop.T @ ((half * rim_g)[:, None] * rim_drop)
+    tensor = viscosity * dissipation / network.area[nodes].sum()
     return 0.5 * (tensor + tensor.T)
 
 
-def unit_permeability(network: Network, *, region: Region) -> np.ndarray:
+def unit_permeability(network: Network) -> np.ndarray:
     """Permeability of the network for an aperture of 1 m everywhere, (2, 2), m² per m³.
 
     Since k ∝ w³, the permeability at any uniform aperture w is w³ times this.
     """
-    return permeability(network, uniform(network, 1.0, 1.0), region=region, viscosity=1.0)
-
-
-def _core(network: Network, region: Region) -> np.ndarray:
-    """Domains whose centroid, moved outward from the region's centre by 1/CORE, stays inside."""
-    xmin, xmax, ymin, ymax = bounding_box(region)
-    middle = np.array([0.5 * (xmin + xmax), 0.5 * (ymin + ymax)])
-    points = np.column_stack([network.x, network.y])
-    return network.inside & contains(region, middle + (points - middle) / CORE)
-
-
-def _mean_gradient(network: Network, domains: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Least-squares gradient of each pressure field, as columns (2, fields), by area."""
-    weight = np.sqrt(network.area[domains])[:, None]
-    columns = np.column_stack([np.ones(len(domains)), network.x[domains], network.y[domains]])
-    fit, *_ = np.linalg.lstsq(weight * columns, weight * p, rcond=None)
-    return fit[1:]
+    return permeability(network, uniform(network, 1.0, 1.0), viscosity=1.0)
 
 
 def _held(n: int, i: np.ndarray, j: np.ndarray, rim: np.ndarray) -> np.ndarray:

@@ -59,16 +59,14 @@ class Stage:
     product: type  # the NamedTuple it returns, or dict
 
 
-def calibrate(network: Network, *, region: Region) -> Permeability:
+def calibrate(network: Network) -> Permeability:
     """Permeability of the network at an aperture of 1 m (the *calibrate* stage)."""
-    return Permeability(unit_permeability(network, region=region))
+    return Permeability(unit_permeability(network))
 
 
-def measure(
-    network: Network, apertures: Apertures, *, region: Region, viscosity: float
-) -> Permeability:
+def measure(network: Network, apertures: Apertures, *, viscosity: float) -> Permeability:
     """Permeability of the open network (the *measure* stage)."""
-    return Permeability(permeability(network, apertures, region=region, viscosity=viscosity))
+    return Permeability(permeability(network, apertures, viscosity=viscosity))
 
 
 def observe(
@@ -170,7 +168,7 @@ STAGES: tuple[Stage, ...] = (
         run=calibrate,
         version=1,
         parents=("network",),
-        reads={"region": lambda s: s.region},
+        reads={},
         wanted=_needs_permeability,
         product=Permeability,
     ),
@@ -193,7 +191,7 @@ STAGES: tuple[Stage, ...] = (
         run=measure,
         version=1,
         parents=("network", "open"),
-        reads={"region": lambda s: s.region, "viscosity": lambda s: s.fluid.viscosity},
+        reads={"viscosity": lambda s: s.fluid.viscosity},
         wanted=lambda s: "permeability" in s.observe,
         product=Permeability,
     ),

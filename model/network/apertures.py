@@ -6,7 +6,7 @@ import numpy as np
 
 from model.network.traces import Chain, Line, chain_along, lines_of, pipes_across
 from model.outcome import ModelError
-from model.products import Apertures, Network, StressState
+from model.products import Apertures, Network, Permeability, StressState
 from model.region import Region
 from model.scene import Fracture, Matrix
 
@@ -59,7 +59,7 @@ def uniform(network: Network, aperture: float, viscosity: float) -> Apertures:
 def open_pipes(
     network: Network,
     stress: StressState | None,
-    unit_permeability: np.ndarray | None,
+    unit_permeability: Permeability | None,
     *,
     region: Region,
     matrix: Matrix,
@@ -72,8 +72,8 @@ def open_pipes(
     ----------
     network : pores and pipes.
     stress : contact forces and moved grains; None where no stress is modelled.
-    unit_permeability : permeability of the network at an aperture of 1 m everywhere, m²
-        per m³ (permeability is proportional to w³); needed where a permeability is given.
+    unit_permeability : permeability of the network at an aperture of 1 m everywhere
+        (permeability is proportional to w³); needed where a permeability is given.
     region, matrix, fractures, viscosity : parts of the scene.
 
     A fracture given by its permeability has w_f = (k_f / k_1)^(1/3) in the unstressed
@@ -129,11 +129,11 @@ def open_pipes(
     )
 
 
-def _aperture_for(permeability: float | None, unit_permeability: np.ndarray | None) -> float:
+def _aperture_for(permeability: float | None, unit_permeability: Permeability | None) -> float:
     """Aperture at which a uniform network has the permeability: a cube root, k ∝ w³."""
     if permeability is None or unit_permeability is None:
         raise ModelError("a permeability is asked for, but the network's own was not computed")
-    return float(np.cbrt(permeability / (0.5 * np.trace(unit_permeability))))
+    return float(np.cbrt(permeability / (0.5 * np.trace(unit_permeability.tensor))))
 
 
 def _stressed(
