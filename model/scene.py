@@ -421,15 +421,15 @@ class Scene:
             for b in self.wells[:i]:
                 if math.dist(a.at, b.at) < a.radius + b.radius:
                     problems.append((f"wells.{a.name}.at", f"the well overlaps {b.name}"))
-        for probe in self.probes:
-            if not contains(self.region, np.array([probe.at]))[0]:
+        within = contains(self.region, np.array([p.at for p in self.probes]).reshape(-1, 2))
+        for probe, is_within in zip(self.probes, within, strict=True):
+            if not is_within:
                 problems.append((f"probes.{probe.name}.at", "the probe lies outside the region"))
         sides = {*self.region.sides, "outer"}
         for name, pressure in self.boundaries:
             if name not in sides:
-                problems.append(
-                    (f"boundaries.{name}", f"the region has no such side, only {sorted(sides)}")
-                )
+                known = ", ".join(sorted(sides))
+                problems.append((f"boundaries.{name}", f"the region's sides are {known}"))
             if not math.isfinite(pressure):
                 problems.append((f"boundaries.{name}", "the pressure is not a finite number"))
         if len(self.boundaries) > 1 and any(name == "outer" for name, _ in self.boundaries):

@@ -1,0 +1,36 @@
+# Everything happens in .venv; `make demo` and `make test` make it first.
+PYTHON ?= python3
+BIN := .venv/bin
+NAME ?=
+
+.PHONY: demo test lint format bench clean
+.DEFAULT_GOAL := demo
+
+.venv/ready: requirements.txt pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
+	  || { echo "demflow needs Python 3.11 or newer; say which: make PYTHON=python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+demo: .venv/ready  ## run studies/quickstart.yaml on two cores
+	$(BIN)/demflow run studies/quickstart.yaml --workers 2
+
+test: .venv/ready  ## all tests
+	$(BIN)/python -m pytest
+
+lint: .venv/ready  ## style, imports and types
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+format: .venv/ready
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: .venv/ready  ## measured claims; one with NAME=…
+	$(BIN)/python -m tests.benchmarks $(NAME)
+
+clean:
+	rm -rf .venv build *.egg-info

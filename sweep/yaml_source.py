@@ -1,0 +1,245 @@
+"""YAML as a tree whose every key and value knows its line and column.
+
+A study needs mappings, lists and plain words only. What could surprise (duplicate
+keys, anchors, tags, several documents) or exhaust (size, depth) is refused
+here, and scalars stay text: what a text means is decided where its unit is known.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.events import (
+    AliasEvent,
+    DocumentStartEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    SequenceStartEvent,
+)
+
+LARGEST_FILE = 1_000_000  # bytes
+DEEPEST_NESTING = 20
+
+
+class Place(NamedTuple):
+    """A position in the study file, counted from 1."""
+
+    line: int
+    column: int
+
+
+@dataclass(frozen=True, order=True)
+class Problem:
+    """One thing wrong with a study, and where. `str` gives `file:line:column: message`."""
+
+    line: int
+    column: int
+    message: str
+    path: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.path}:{self.line}:{self.column}: {self.message}"
+
+
+class StudyError(Exception):
+    """A study that cannot be run. `problems` holds everything wrong with it, in file order."""
+
+    def __init__(self, path: str | Path, problems: list[Problem]):
+        self.path = str(path)
+        self.problems = sorted(replace(problem, path=self.path) for problem in set(problems))
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (type(self), (self.path, self.problems))
+
+
+@dataclass(frozen=True)
+class Scalar:
+    """A word, a number or a quantity, as it is written; `quoted` where it stood in quotes."""
+
+    place: Place
+    text: str
+    quoted: bool = False
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing (or `null`) is written here."""
+        return not self.quoted and self.text in ("", "~", "null", "Null", "NULL")
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A list."""
+
+    place: Place
+    items: tuple[Node, ...]
+
+
+@dataclass(frozen=True)
+class Mapping:
+    """Keys and values, in the order of the file; `keys` holds the place of each key."""
+
+    place: Place
+    entries: dict[str, Node]
+    keys: dict[str, Place] = field(default_factory=dict)
+
+
+Node = Scalar | Sequence | Mapping
+
+
+START = Place(1, 1)
+
+
+class Source(NamedTuple):
+    """A study file as it was read."""
+
+    path: Path
+    text: str
+    sha256: str
+    root: Mapping
+    problems: list[Problem]  # of a kind that lets reading go on: duplicate keys, tags, anchors
+
+
+def read_source(path: str | Path) -> Source:
+    """Read a study file into a tree with positions.
+
+    Raises
+    ------
+    StudyError : no such file, not a file, larger than 1 MB, not UTF-8, not YAML, nested
+        deeper than 20 levels, empty, or not a mapping.
+    """
+    path = Path(path)
+    content = _content(path)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = content[: error.start]
+        column = error.start - (before.rfind(b"\n") + 1)
+        place = Place(before.count(b"\n") + 1, column + 1)
+        raise _refusal(path, f"the file is not UTF-8 text ({error.reason})", place) from None
+    problems: list[Problem] = []
+    root = _compose(path, text, problems)
+    if root is None or (isinstance(root, Scalar) and root.empty):
+        raise _refusal(path, "the study is empty; it needs the keys study, scene and observe")
+    if not isinstance(root, Mapping):
+        kind = "a list" if isinstance(root, Sequence) else "a single word"
+        raise _refusal(path, f"a study is a mapping of keys to values, not {kind}", root.place)
+    return Source(path, text, hashlib.sha256(content).hexdigest(), root, problems)
+
+
+def _refusal(path: Path, message: str, place: Place = START) -> StudyError:
+    return StudyError(path, [Problem(*place, message)])
+
+
+def _content(path: Path) -> bytes:
+    try:
+        if not path.exists():
+            raise _refusal(path, "there is no such file")
+        if not path.is_file():  # a device or a pipe could be read for ever
+            kind = "a folder" if path.is_dir() else "a device"
+            raise _refusal(path, f"this is {kind}, not a study file")
+        with path.open("rb") as stream:
+            content = stream.read(LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise _refusal(path, f"the file cannot be read: {reason}") from None
+    if len(content) > LARGEST_FILE:
+        raise _refusal(path, f"the file is larger than {LARGEST_FILE // 1_000_000} MB")
+    return content
+
+
+def _compose(path: Path, text: str, problems: list[Problem]) -> Node | None:
+    """The first document as a tree, or None if there is none."""
+    composer = _Composer(problems)
+    root: Node | None = None
+    try:
+        events = iter(YAML(typ="safe", pure=True).parse(text))
+        for event in events:
+            if not isinstance(event, DocumentStartEvent):
+                continue
+            if root is not None:
+                raise _refusal(path, "a study is one document; remove '---'", _place(event))
+            root = composer.node(next(events), events, 1)
+    except _TooDeep as error:
+        raise _refusal(path, f"nested deeper than {DEEPEST_NESTING} levels", error.place) from None
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        place = Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1)
+        words = [str(part) for part in (error.problem, error.context) if part]
+        raise _refusal(path, "bad YAML: " + ", ".join(words), place) from None
+    except YAMLError as error:
+        at = getattr(error, "position", 0)
+        before = text[: at if isinstance(at, int) else 0]
+        place = Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
+        raise _refusal(path, f"bad YAML: {str(error).splitlines()[0]}", place) from None
+    return root
+
+
+class _TooDeep(Exception):
+    def __init__(self, place: Place):
+        self.place = place
+
+
+@dataclass
+class _Composer:
+    """Builds nodes from the parser's events; keeps the first of two equal keys."""
+
+    problems: list[Problem]
+
+    def node(self, event: Any, events: Iterator[Any], depth: int) -> Node:
+        place = _place(event)
+        if depth > DEEPEST_NESTING:
+            raise _TooDeep(place)
+        if isinstance(event, AliasEvent):
+            self._problem(place, f"aliases are not allowed; write out what '*{event.anchor}' means")
+            return Scalar(place, "")
+        if event.anchor is not None:
+            self._problem(place, f"anchors are not allowed; remove '&{event.anchor}'")
+        if event.tag is not None:
+            self._problem(place, f"tags are not allowed; remove '{event.tag}'")
+        if isinstance(event, ScalarEvent):
+            return Scalar(place, event.value, quoted=event.style is not None)
+        if isinstance(event, SequenceStartEvent):
+            return Sequence(place, tuple(self._items(events, depth)))
+        assert isinstance(event, MappingStartEvent)
+        return self._mapping(place, events, depth)
+
+    def _items(self, events: Iterator[Any], depth: int) -> Iterator[Node]:
+        for event in events:
+            if isinstance(event, SequenceEndEvent):
+                return
+            yield self.node(event, events, depth + 1)
+
+    def _mapping(self, place: Place, events: Iterator[Any], depth: int) -> Mapping:
+        mapping = Mapping(place, {})
+        for event in events:
+            if isinstance(event, MappingEndEvent):
+                break
+            key = self.node(event, events, depth + 1)
+            value = self.node(next(events), events, depth + 1)
+            if not isinstance(key, Scalar):
+                self._problem(key.place, "a key must be a word")
+            elif key.text in mapping.entries:
+                first = mapping.keys[key.text]
+                self._problem(
+                    key.place, f"duplicate key '{key.text}'; it stands in line {first.line} already"
+                )
+            else:
+                mapping.entries[key.text] = value
+                mapping.keys[key.text] = key.place
+        return mapping
+
+    def _problem(self, place: Place, message: str) -> None:
+        self.problems.append(Problem(*place, message))
+
+
+def _place(event: Any) -> Place:
+    return Place(event.start_mark.line + 1, event.start_mark.column + 1)
