@@ -96,9 +96,9 @@ def open_pipes(
         if fracture.permeability is not None:
             wide = _aperture_for(fracture.permeability, unit_permeability)
             pipes = np.concatenate([chain.pipe, [p for p in chain.rim_pipe if p >= 0]]).astype(int)
-            wider = pipes[unstressed[pipes] <= wide]
-            unstressed[wider] = wide
-            result.on_fracture[wider] = index
+            wider = unstressed[pipes] <= wide
+            unstressed[pipes[wider]] = wide
+            _claim(result, pipes, wider, index)
 
     aperture = _stressed(network, stress, unstressed, matrix)
     conductance = pipe_conductance(aperture, network.pipe_length, viscosity)
@@ -171,7 +171,7 @@ def _calibrate(
     pipes = chain.pipe[wins]
     result.conductance[pipes] = conductance[wins]
     result.aperture[pipes] = aperture
-    result.on_fracture[pipes] = index
+    _claim(result, chain.pipe, wins, index)
     forward = network.pipe_from[pipes] == chain.domain[:-1][wins]
     near, far = chain.place[:-1][wins], chain.place[1:][wins]
     result.pipe_trace_from[pipes] = np.where(forward, near, far)
@@ -184,10 +184,17 @@ def _calibrate(
         if pipe < 0:
             continue
         crossing = np.searchsorted(network.cut, pipe)
-        if carried / distance[0] > result.cut_conductance[crossing]:
+        wins_rim = carried / distance[0] > result.cut_conductance[crossing]
+        if wins_rim:
             result.cut_conductance[crossing] = carried / distance[0]
             result.aperture[pipe] = aperture
-            result.on_fracture[pipe] = index
+        _claim(result, np.array([pipe]), np.array([wins_rim]), index)
+
+
+def _claim(result: Apertures, pipes: np.ndarray, wins: np.ndarray, index: int) -> None:
+    """Mark pipes as lying on a trace: those that it widened, and any that no other has."""
+    ours = pipes[wins | (result.on_fracture[pipes] < 0)]
+    result.on_fracture[ours] = index
 
 
 def _volumes(
