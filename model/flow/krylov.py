@@ -27,7 +27,7 @@ MOST_CYCLES = 40
 MAP_CHECKS = 8
 
 # Part of the largest recorded value below which an output's own size no longer counts.
-FAINT = 1e-3
+FAINT = 0.1
 
 # Rows of edge differences that are orthogonalised at once (bounds the memory).
 BLOCK_ROWS = 1 << 16
@@ -66,7 +66,7 @@ def krylov(problem: Problem) -> Answer:
 def _poles(lag: np.ndarray) -> np.ndarray:
     """Shifts s > 0, evenly spread in log s over the reciprocal lags."""
     first, last = lag[lag > 0][0], lag[-1]
-    count = max(2, math.ceil(POLES_PER_DECADE * math.log10(last / first)))
+    count = 1 + max(1, math.ceil(POLES_PER_DECADE * math.log10(last / first)))
     edges = np.linspace(math.log(1.0 / last), math.log(1.0 / first), count)
     return np.exp(edges)
 
@@ -208,8 +208,8 @@ def _checked_outputs(
     """Quantities that must converge, each with the size that its error is compared with.
 
     The well that is the source is compared at every lag with its own pressure change,
-    anything else with the largest value that it takes, or a thousandth (`FAINT`) of the
-    largest pressure or flow where it takes next to none.
+    anything else with the largest value that it takes, or where it takes next to none with
+    a tenth (`FAINT`) of the largest pressure or flow, the source's own included.
     """
     lag = problem.lag[problem.lag > 0]
     amplitude, _, _ = _amplitudes(basis, lag)
@@ -218,10 +218,10 @@ def _checked_outputs(
     wells_end = problem.records.well_rows
     is_flow[wells_end : wells_end + problem.records.flow_rows] = True
     size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
-    for kind in (is_flow, ~is_flow):
-        if kind.any():
-            size[:, kind] = np.maximum(size[:, kind], FAINT * size[:, kind].max())
     own_well = source - problem.system.fixed_count
+    for kind, is_source in ((is_flow, own_well >= 0), (~is_flow, own_well < 0)):
+        largest = np.max(size[:, kind], initial=1.0 if is_source else 0.0)
+        size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
     if own_well >= 0:
         size[:, own_well] = np.abs(output[:, own_well])
     checked = [(output, size)]

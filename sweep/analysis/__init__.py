@@ -1,0 +1,1 @@
+"""What is read from a dataset: flow regimes, permeabilities, comparisons with formulas."""

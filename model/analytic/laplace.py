@@ -1,0 +1,49 @@
+"""Inverse Laplace transforms, for solutions that are simple only in Laplace space."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+NODES = 24  # 3.89⁻²⁴ = 7e-15: what double precision can hold
+
+
+def _contour(nodes: int) -> tuple[np.ndarray, np.ndarray]:
+    """Points z and weights of the contour for t = 1, upper half, shape (nodes / 2,).
+
+    z(θ) = N (0.5017 θ cot(0.6407 θ) − 0.6122 + 0.2645 i θ) at the midpoints of [−π, π]:
+    Trefethen, Weideman & Schmelzer (2006), BIT 46, 653–670, Eq. 3.1.
+    """
+    theta = np.pi * np.arange(1, nodes, 2) / nodes
+    a, b = 0.5017, 0.6407
+    sine = np.sin(b * theta)
+    z = nodes * (a * theta * np.cos(b * theta) / sine - 0.6122 + 0.2645j * theta)
+    slope = nodes * (a * np.cos(b * theta) / sine - a * b * theta / sine**2 + 0.2645j)
+    # the lower half is the complex conjugate: twice the real part of the upper one
+    return z, 2.0 / (1j * nodes) * np.exp(z) * slope
+
+
+def invert(transform: Callable[[np.ndarray], np.ndarray], time: ArrayLike) -> np.ndarray:
+    """Value at each time of a function given by its Laplace transform.
+
+    f(t) = 1/(2πi) ∫ e^{st} F(s) ds on Talbot's contour, by the midpoint rule. For
+    transforms whose singularities lie on the negative real axis or at zero, as those of
+    diffusion do; the absolute error is then some 1e-12 of |f|.
+
+    Parameters
+    ----------
+    transform : F(s) for complex s of shape (..., k), where (...) is the shape of `time`.
+    time : times above zero, any shape.
+
+    Raises
+    ------
+    ValueError : a time is not above zero.
+    """
+    time = np.asarray(time, dtype=float)
+    if not np.all(time > 0):
+        raise ValueError("a Laplace transform can be inverted only at times above zero")
+    z, weight = _contour(NODES)
+    values = transform(z / time[..., None])
+    return np.real(np.sum(weight * values, axis=-1)) / time

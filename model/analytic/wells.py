@@ -1,0 +1,47 @@
+"""Wells after the transient: the steady state and the pseudo-steady state."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+def thiem_pressure_fall(
+    rate: float, viscosity: float, permeability: float, radius: ArrayLike, outer_radius: float
+) -> np.ndarray:
+    """Steady pressure fall P_e − P(R) around a well (Thiem 1906; Eqs 36 and 118), Pa.
+
+    P_e − P = q μ ln(R_e / R) / (2π k) for unit depth.
+
+    Parameters
+    ----------
+    rate : q in m³/s for one metre of depth, positive for production.
+    viscosity, permeability : Pa s, m².
+    radius, outer_radius : R and R_e in m; R may be an array.
+    """
+    radius = np.asarray(radius, dtype=float)
+    return rate * viscosity * np.log(outer_radius / radius) / (2.0 * math.pi * permeability)
+
+
+def closed_circle_pseudo_steady(R_D: ArrayLike, t_D: ArrayLike, R_De: float) -> np.ndarray:
+    """Late pressure fall around a well at constant rate in a closed circle.
+
+    p_D = (2 (R_D²/4 + t_D) − E² ln R_D) / (E² − 1) − (3E⁴ − 4E⁴ ln E − 2E² − 1) / (4 (E² − 1)²),
+    E = R_De: van Everdingen & Hurst (1949); Matthews & Russell (1967), Eq. 2.36. For large E
+    at the well: p_D = 2 t_D / E² + ln E − 3/4. Holds from t_D ≈ 0.25 E² on.
+
+    Parameters
+    ----------
+    R_D : radius over the well's, in [1, R_De].
+    t_D : k t / (φ μ c r_w²). Broadcasts with `R_D`.
+
+    Returns
+    -------
+    p_D = 2π k (P_i − P) / (q μ).
+    """
+    R, t = np.asarray(R_D, dtype=float), np.asarray(t_D, dtype=float)
+    E2 = R_De**2
+    constant = (3.0 * E2**2 - 4.0 * E2**2 * math.log(R_De) - 2.0 * E2 - 1.0) / (4.0 * (E2 - 1.0))
+    return (2.0 * (0.25 * R**2 + t) - E2 * np.log(R) - constant) / (E2 - 1.0)

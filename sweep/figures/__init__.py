@@ -1,0 +1,130 @@
+"""Pictures of a study: `write_figures` draws what its dataset has the data for."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from model.outcome import Status
+from model.scene import Scene, Well
+from sweep.analysis.cases import Index, axes, case_title
+from sweep.analysis.compare import MapsOf, SceneOf
+from sweep.analysis.linear_flow import compare_linear, linear_tables
+from sweep.analysis.radial_flow import compare_radial, radial_tables
+from sweep.analysis.table import Table
+from sweep.cases import case_at
+from sweep.figures.comparisons import draw_linear, draw_radial
+from sweep.figures.maps import draw_maps
+from sweep.figures.permeability import draw_permeability
+from sweep.figures.style import house_style
+from sweep.figures.wells import draw_well
+from sweep.results import open_case
+from sweep.study import Study
+
+__all__ = ["write_figures"]
+
+MOST_MAPS = 4  # cases whose maps are drawn
+
+
+def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[Path]:
+    """Draw a study's figures into `results_dir/figures`, and tables of comparisons beside them.
+
+    Parameters
+    ----------
+    dataset : the study's dataset.
+    results_dir : the study's folder, where the maps of its cases are found.
+    study : for the scenes of its cases and its `figures` block.
+
+    Returns
+    -------
+    Paths of the PNG files, in the order of a report. Each holds its caption as its PNG
+    description; `NAME_*.csv` beside `NAME.png` are its tables. Figures of an earlier run
+    that are not drawn again are removed.
+
+    Raises
+    ------
+    ValueError : the study asks for a comparison that its scenes do not allow (says why).
+    """
+    folder = Path(results_dir) / "figures"
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in [*folder.glob("*.png"), *folder.glob("*.csv")]:
+        old.unlink()
+    if not np.any(dataset["status"].values == Status.DONE):
+        return []
+
+    def scene_of(index: Index) -> Scene:
+        return case_at(study, [index[axis.name] for axis in study.axes]).scene
+
+    def maps_of(index: Index) -> xr.Dataset:
+        values = {axis: dataset[axis].values[at].item() for axis, at in index.items()}
+        return open_case(results_dir, **values)
+
+    def well_of(index: Index, name: str) -> Well:
+        return next(well for well in scene_of(index).wells if well.name == name)
+
+    with house_style():
+        drawn: list[Path | None] = []
+        if study.figures.compare:
+            drawn.append(_compare(dataset, study.figures.compare, scene_of, maps_of, folder))
+        if "pressure_change" in dataset:
+            drawn += [
+                draw_well(dataset, name, well_of, folder / f"well_pressure_{_plain(name)}.png")
+                for name in map(str, dataset["well"].values)
+            ]
+        observed = scene_of({axis: 0 for axis in axes(dataset)}).observe
+        if "pressure_map" in observed:
+            for k, index in enumerate(representative_cases(dataset)):
+                title = f"{study.title}\n{case_title(dataset, index)}".strip()
+                path = folder / f"pressure_map_{k}.png"
+                maps, scene = maps_of(index), scene_of(index)
+                drawn.append(draw_maps(maps, scene, title, path, study.figures.maps))
+        if "permeability" in dataset:
+            seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
+            drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
+    return [path for path in drawn if path is not None]
+
+
+def _plain(name: str) -> str:
+    """A name from a study as a part of a file name."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+
+
+def representative_cases(dataset: xr.Dataset) -> list[Index]:
+    """Up to four cases that are done: the corners of the first two axes that vary.
+
+    The other axes stay at their first value. Where no corner is done, the first case that is.
+    """
+    ends = {axis: [0] for axis in axes(dataset)}
+    for axis in [a for a in axes(dataset) if dataset.sizes[a] > 1][:2]:
+        ends[axis] = [0, dataset.sizes[axis] - 1]
+    corners = [dict(zip(ends, at, strict=True)) for at in product(*ends.values())]
+    done = [c for c in corners if int(dataset["status"].isel(c)) == Status.DONE]
+    if not done:
+        first = np.argwhere(np.asarray(dataset["status"].values) == Status.DONE)[0]
+        done = [dict(zip(axes(dataset), map(int, first), strict=True))]
+    return done[:MOST_MAPS]
+
+
+def _compare(
+    dataset: xr.Dataset, kind: str, scene_of: SceneOf, maps_of: MapsOf, folder: Path
+) -> Path:
+    """Draw the comparison that the study asks for, with its tables beside it."""
+    path = folder / f"compare_{kind}.png"
+    tables: list[Table]
+    if kind == "linear":
+        linear = compare_linear(dataset, scene_of, maps_of)
+        tables = linear_tables(linear)
+        draw_linear(linear, path)
+    else:
+        index = {axis: 0 for axis in axes(dataset)}
+        mapped = "pressure_map" in scene_of(index).observe
+        radial = compare_radial(dataset, scene_of, maps_of if mapped else None)
+        tables = radial_tables(radial)
+        draw_radial(radial, path)
+    for what, content in zip(("by_time", "by_case"), tables, strict=True):
+        content.write_csv(folder / f"compare_{kind}_{what}.csv")
+    return path

@@ -1,0 +1,127 @@
+"""How every picture looks: sizes, fonts, colours that colour-blind readers can tell apart."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+from model.quantities import CASE, COORDINATES, MAPS
+from sweep.analysis.cases import display, plain_number
+
+DPI = 130
+
+# Okabe & Ito (2008), the colours that remain apart under every common colour blindness
+BLACK, BLUE, VERMILION = "#000000", "#0072B2", "#D55E00"
+GREY, LIGHT_GREY = "#6B7280", "#9CA3AF"
+SEQUENTIAL = "viridis"  # even in lightness, safe for colour-blind readers and in grey print
+LINE_STYLES: tuple[Any, ...] = ("-", "--", ":", "-.")
+
+_RC: Any = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.labelsize": 9.5,
+    "legend.fontsize": 8.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#E5E7EB",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "lines.linewidth": 1.6,
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "mathtext.fontset": "dejavusans",
+}
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Draw in the house's style; matplotlib's own settings are as before afterwards."""
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        matplotlib.rcParams.update(_RC)
+        yield
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure (inches) that no global list of figures knows, so nothing must close it."""
+    figure = Figure(figsize=(width, height))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure: Figure, path: Path, caption: str) -> Path:
+    """Write a PNG that carries its caption as its description. Same figure, same bytes."""
+    figure.savefig(path, dpi=DPI, metadata={"Software": None, "Description": caption})
+    return path
+
+
+def shades(name: str, count: int) -> np.ndarray:
+    """Colours of one family from light to dark, (count, 4); a single one is dark."""
+    place = np.linspace(0.45, 0.95, count) if count > 1 else np.array([0.8])
+    return matplotlib.colormaps[name](place)
+
+
+def sequence(count: int) -> np.ndarray:
+    """Colours for an ordered series (times), from dark to light but never pale, (count, 4)."""
+    return matplotlib.colormaps[SEQUENTIAL](np.linspace(0.0, 0.85, count))
+
+
+def label(name: str, values: np.ndarray | float) -> tuple[float, str]:
+    """Factor and axis label of a quantity: its long name and a unit that suits the values."""
+    quantity = {**COORDINATES, **MAPS, **CASE}[name]
+    factor, unit = display(quantity.unit, values)
+    return factor, f"{quantity.long_name} ({unit})" if unit else quantity.long_name
+
+
+def time_unit(times: np.ndarray) -> tuple[float, str]:
+    """Factor and unit for a logarithmic axis of times, from the middle of their range."""
+    return display("s", float(np.sqrt(np.min(times) * np.max(times))))
+
+
+def is_log_spaced(values: np.ndarray) -> bool:
+    """Whether positive values span more than a decade or grow by an even factor."""
+    if values.dtype.kind not in "iuf" or len(values) < 2 or not np.all(values > 0):
+        return False
+    if values.max() / values.min() > 10:
+        return True
+    steps = np.diff(np.log(values))
+    return len(values) > 2 and bool(
+        np.ptp(steps) < 1e-6 * abs(steps[0]) and values[-1] > 4 * values[0]
+    )
+
+
+def pick(count: int, most: int) -> list[int]:
+    """At most `most` positions out of `count`, evenly spread, both ends among them."""
+    if count <= most:
+        return list(range(count))
+    return sorted({round(i) for i in np.linspace(0, count - 1, most)})
+
+
+def plain_log_ticks(axis: Axis) -> None:
+    """Label a short logarithmic axis at 1, 2, 5, 10, … in plain numbers."""
+    low, high = axis.get_view_interval()
+    if high > 1e3 * low:
+        return
+    shown = FuncFormatter(lambda value, _: plain_number(value, 3))
+    axis.set_major_formatter(shown)
+    axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
+    axis.set_minor_formatter(shown)
+
+
+def quiet_minor_labels(axis: Axes, values: Sequence[float]) -> None:
+    """Mark the given values on a logarithmic x axis, and nothing between them."""
+    axis.set_xticks(values, [f"{v:.4g}" for v in values])
+    axis.xaxis.set_minor_formatter(NullFormatter())

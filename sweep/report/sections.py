@@ -1,0 +1,171 @@
+"""The sections of the report, each a piece of HTML from the dataset."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from PIL import Image
+
+from model.outcome import Status
+from model.quantities import CASE
+from sweep.analysis.cases import (
+    Index,
+    axes,
+    axis_title,
+    axis_value,
+    case_title,
+    display,
+    plain_number,
+)
+from sweep.analysis.permeability import principal_permeability
+from sweep.report.html import data_uri, escape, grid
+from sweep.study import Study
+
+MOST_FAILURES = 50  # listed one by one
+MOST_VALUES = 12  # of an axis, listed one by one
+
+# what a reader should see first of how far to trust the numbers: the worst over all cases
+_WORST = ("mass_balance_error", "residual", "time_error", "unbalanced_ratio", "isolated_domains")
+_RANGES = ("porosity", "coordination", "grain_count", "domain_count", "matrix_aperture")
+
+
+def outcome(dataset: xr.Dataset) -> str:
+    """How many cases ended how, and every failure with its message."""
+    status = np.asarray(dataset["status"].values).astype(int)
+    total = status.size
+    rows = [
+        (kind.name.replace("_", " ").lower(), int(np.sum(status == kind)))
+        for kind in Status
+        if np.any(status == kind) or kind is Status.DONE
+    ]
+    text = f"<p>{_count(total, 'case')}, {rows[0][1]} done.</p>"
+    failures = np.argwhere(status != Status.DONE)
+    if len(failures):
+        text += grid(("outcome", "cases"), rows)
+        listed = []
+        for position in failures[:MOST_FAILURES]:
+            index: Index = dict(zip(axes(dataset), map(int, position), strict=True))
+            at = dataset.isel(index)
+            listed.append(
+                (
+                    case_title(dataset, index) or "the only case",
+                    Status(int(at["status"])).name.replace("_", " ").lower(),
+                    str(at["message"].values),
+                )
+            )
+        more = len(failures) - len(listed)
+        caption = "Cases without a result" + (f" ({more} more are not listed)" if more else "")
+        text += grid(("case", "outcome", "why, and what to try"), listed, caption)
+    return text
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
+
+
+def axes_table(dataset: xr.Dataset, study: Study) -> str:
+    """What was varied: each axis, its parameters and its values."""
+    if not study.axes:
+        return "<p>Nothing was varied: the study is a single case.</p>"
+    rows = []
+    for axis in study.axes:
+        count = dataset.sizes[axis.name]
+        shown = range(count) if count <= MOST_VALUES else [*range(MOST_VALUES - 1), count - 1]
+        values = [axis_value(dataset, axis.name, i) for i in shown]
+        if count > MOST_VALUES:
+            values.insert(-1, "…")
+        rows.append((axis_title(axis.name), ", ".join(axis.parameters), count, ", ".join(values)))
+    return grid(("axis", "parameters", "values", "which"), rows)
+
+
+def key_numbers(dataset: xr.Dataset) -> str:
+    """Ranges over the cases that are done: results first, then what they rest on."""
+    rows: list[tuple[object, ...]] = []
+    if "permeability" in dataset:
+        principal = principal_permeability(dataset["permeability"])
+        for name in ("largest", "smallest", "anisotropy"):
+            attributes = principal[name].attrs
+            rows += _range(attributes["long_name"], principal[name], attributes["units"])
+    if "well_pressure" in dataset:
+        pressure = dataset["well_pressure"]
+        if "elapsed_time" in pressure.dims:
+            pressure = pressure.min("elapsed_time")
+        for well in map(str, dataset["well"].values):
+            rows += _range(f"{well}: lowest well pressure", pressure.sel(well=well), "Pa")
+            if "pressure_change" in dataset:
+                change = dataset["pressure_change"].sel(well=well).max("elapsed_time")
+                rows += _range(f"{well}: largest pressure change", change, "Pa")
+    for name in _RANGES:
+        if name in dataset:
+            rows += _range(axis_title(name), dataset[name], CASE[name].unit)
+    worst = []
+    for name in _WORST:
+        if name in dataset:
+            values = np.asarray(dataset[name].values, dtype=float)
+            if np.any(np.isfinite(values)):
+                worst.append((axis_title(name), CASE[name].long_name, float(np.nanmax(values))))
+    text = grid(("quantity", "unit", "least", "median", "greatest"), rows) if rows else ""
+    if worst:
+        text += grid(("quality", "meaning", "worst case"), worst)
+    if "compute_time" in dataset:
+        seconds = float(dataset["compute_time"].sum())
+        text += f"<p>Computing took {plain_number(seconds)} s in all.</p>"
+    return text or "<p>No case has a result yet.</p>"
+
+
+def _range(name: str, values: xr.DataArray, unit: str) -> list[tuple[object, ...]]:
+    """One row of least, median and greatest, or none where nothing is finite."""
+    finite = np.asarray(values.values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    if not finite.size:
+        return []
+    factor, shown = display(unit, finite)
+    least, median, greatest = (np.quantile(finite, [0.0, 0.5, 1.0]) * factor).tolist()
+    return [(name, shown, least, median, greatest)]
+
+
+def figures(paths: Sequence[Path]) -> str:
+    """Every figure with its caption, and the tables that lie beside it."""
+    if not paths:
+        return "<p>There is nothing to draw.</p>"
+    return "\n".join(_figure(path) for path in paths)
+
+
+def _figure(path: Path) -> str:
+    with Image.open(path) as image:
+        caption = str(image.info.get("Description", path.stem.replace("_", " ")))
+    tables = "".join(
+        _csv_table(beside) for beside in sorted(path.parent.glob(f"{path.stem}_*.csv"))
+    )
+    return (
+        f"<figure><img src='{data_uri(path)}' alt='{escape(caption)}'>"
+        f"<figcaption>{escape(caption)}</figcaption></figure>{tables}"
+    )
+
+
+def _csv_table(path: Path) -> str:
+    with path.open(newline="", encoding="utf-8") as lines:
+        columns, *rows = csv.reader(lines)
+    caption = path.stem.replace("_", " ")
+    return grid(columns, [[_number(cell) for cell in row] for row in rows], caption)
+
+
+def _number(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def provenance(dataset: xr.Dataset) -> str:
+    """Attributes of the dataset that say where it comes from."""
+    rows = [
+        (name, str(value))
+        for name, value in dataset.attrs.items()
+        if name not in ("study_text", "title")
+    ]
+    return grid(("attribute", "value"), rows)

@@ -1,0 +1,324 @@
+"""Pictures: what is drawn is what the data say, whatever the shape of the study."""
+
+import dataclasses
+
+import matplotlib
+import numpy as np
+import pytest
+from matplotlib.collections import PolyCollection
+from PIL import Image
+
+import sweep.figures as figures
+from model.region import contains
+from sweep.cases import case_at
+from sweep.figures import maps as map_figures
+from sweep.figures import representative_cases, write_figures
+from sweep.figures.permeability import draw_permeability
+from sweep.figures.style import house_style, is_log_spaced, label, pick
+from sweep.figures.wells import draw_well
+from tests.sweep.invented import LINEAR, RADIAL, SWEEP, invented_dataset, invented_maps, study_of
+
+SMALL = SWEEP.replace("per_decade: 12", "per_decade: 5")
+STEADY = """
+study: steady
+scene:
+  region: {shape: circle, radius: 14 m}
+  grains: {count: 600, porosity: 0.17}
+  matrix: {permeability: 1 mD}
+  fluid: {viscosity: 1 Pa s, bulk_modulus: 1 GPa}
+  wells: {producer: {at: [0 m, 0 m], radius: 0.964 m, rate: 2e-5 m3/s}}
+  boundaries: {outer: 7 MPa}
+observe: [pressure_map]
+"""
+
+
+@pytest.fixture
+def results(tmp_path, monkeypatch):
+    """A study of a text with its dataset, its maps to be had from `open_case`."""
+
+    def make(text):
+        study = study_of(text, tmp_path)
+        dataset = invented_dataset(study)
+
+        def open_case(folder, **at):
+            index = [
+                int(np.flatnonzero(dataset[a.name].values == at[a.name])[0]) for a in study.axes
+            ]
+            assert folder == tmp_path
+            return invented_maps(study, tuple(index), spacing=2.4)
+
+        monkeypatch.setattr(figures, "open_case", open_case)
+        return study, dataset, tmp_path
+
+    return make
+
+
+def names(paths):
+    return [p.name for p in paths]
+
+
+def caption(path):
+    with Image.open(path) as image:
+        assert min(image.size) > 300
+        return image.info["Description"]
+
+
+def test_a_sweep_gets_its_pictures(results):
+    study, dataset, folder = results(SMALL)
+    paths = write_figures(dataset, folder, study)
+    assert names(paths) == [
+        "well_pressure_producer.png",
+        *(f"pressure_map_{k}.png" for k in range(4)),
+        "permeability.png",
+    ]
+    assert all(p.parent == folder / "figures" for p in paths)
+    assert "36 cases" in caption(paths[0])
+    assert "L = 0.1" in caption(paths[0])
+    assert "fracture angle 65°" in caption(paths[4])
+    assert "does not change with rate" in caption(paths[-1])
+
+
+def test_same_data_give_the_same_bytes_and_leave_no_trace(results):
+    study, dataset, folder = results(RADIAL)
+    before = dict(matplotlib.rcParams)
+    first = [p.read_bytes() for p in write_figures(dataset, folder, study)]
+    stale = folder / "figures" / "pressure_map_99.png"
+    stale.write_bytes(b"of an earlier run")
+    again = write_figures(dataset, folder, study)
+    assert [p.read_bytes() for p in again] == first
+    assert not stale.exists()
+    assert dict(matplotlib.rcParams) == before
+    from matplotlib import pyplot
+
+    assert pyplot.get_fignums() == []
+
+
+@pytest.mark.parametrize(("text", "formula"), [(LINEAR, "Eq. 24"), (RADIAL, "Eq. 29")])
+def test_comparisons_have_their_tables_beside_them(results, text, formula):
+    study, dataset, folder = results(text)
+    first = write_figures(dataset, folder, study)[0]
+    kind = study.figures.compare
+    assert first.name == f"compare_{kind}.png"
+    assert formula in caption(first)
+    tables = sorted((folder / "figures").glob("*.csv"))
+    assert names(tables) == [f"compare_{kind}_by_case.csv", f"compare_{kind}_by_time.csv"]
+    lines = tables[1].read_text().splitlines()
+    times = case_at(study, [0]).scene.times
+    assert [float(line.split(",")[0]) for line in lines[1 : len(times) + 1]] == list(times)
+
+
+def test_a_comparison_that_cannot_be_is_refused(results):
+    study, dataset, folder = results(
+        SMALL.replace("observe:", "figures: {compare: radial}\nobserve:")
+    )
+    with pytest.raises(ValueError, match="no fractures"):
+        write_figures(dataset, folder, study)
+
+
+def test_nothing_done_draws_nothing(results):
+    study, dataset, folder = results(SMALL)
+    dataset["status"][:] = 1
+    assert write_figures(dataset, folder, study) == []
+
+
+def test_failed_cases_are_left_out(results):
+    study, dataset, folder = results(SMALL)
+    dataset["status"][0, 0] = 1
+    for name in ("well_pressure", "pressure_change", "pressure_derivative", "permeability"):
+        dataset[name][0, 0] = np.nan
+    paths = write_figures(dataset, folder, study)
+    assert "pressure_map_2.png" in names(paths)
+    assert "pressure_map_3.png" not in names(paths)
+    assert "32 cases" in caption(paths[0])
+
+
+def test_representative_cases_are_corners(results):
+    _, dataset, _ = results(SMALL)
+    rest = {"stress_yy": 0, "rate": 0}
+    assert representative_cases(dataset) == [
+        {"fracture_angle": i, "aperture": j, **rest} for i in (0, 2) for j in (0, 2)
+    ]
+    dataset["status"][:] = 1
+    dataset["status"][1, 1, 1, 1] = 0
+    assert representative_cases(dataset) == [
+        {"fracture_angle": 1, "aperture": 1, "stress_yy": 1, "rate": 1}
+    ]
+    assert representative_cases(dataset.isel(fracture_angle=0, aperture=0)[["status"]] * 0)
+
+
+def test_a_study_without_axes_and_without_times(results):
+    study, _, folder = results(RADIAL)
+    steady = study_of(STEADY, folder)
+    maps = invented_maps(study, (0,), spacing=2.4)
+    maps["pressure"] = maps["pressure"].isel(elapsed_time=-1, drop=True)
+    with house_style():
+        path = map_figures.draw_maps(maps, case_at(steady, []).scene, "steady", folder / "m.png")
+    assert "steady state" in caption(path)
+
+
+def test_map_shows_each_pore_in_its_own_colour(results, monkeypatch):
+    study, _, folder = results(RADIAL)
+    scene = case_at(study, (0,)).scene
+    maps = invented_maps(study, (0,), spacing=2.4)
+    kept = []
+    monkeypatch.setattr(map_figures, "save", lambda figure, path, text: kept.append(figure))
+    with house_style():
+        map_figures.draw_maps(maps, scene, "one", folder / "m.png", (2753.0, 121.0))
+    panels = [a for a in kept[0].axes if a.get_title().startswith("t = ")]
+    assert [p.get_title() for p in panels] == ["t = 120 s", "t = 2753 s"]
+    for panel, time in zip(panels, (120.0, 2753.0), strict=True):
+        (pores,) = [c for c in panel.collections if isinstance(c, PolyCollection)]
+        np.testing.assert_allclose(
+            pores.get_array(), maps["pressure"].sel(elapsed_time=time).values / 1e6
+        )
+        # the polygon of a pore lies around its centroid
+        for outline, x, y in zip(
+            pores.get_paths(), maps["x"].values, maps["y"].values, strict=True
+        ):
+            assert outline.contains_point((x, y))
+        assert panel.get_aspect() == 1.0
+
+
+def test_polygons_follow_the_ugrid_convention(results):
+    study, _, _ = results(RADIAL)
+    maps = invented_maps(study, (0,), spacing=2.4)
+    expected = map_figures.polygons(maps)
+    nodes = np.stack([maps["mesh_node_x"].values, maps["mesh_node_y"].values], axis=1)
+    np.testing.assert_array_equal(expected[7], nodes[maps["mesh_face_nodes"].values[7]])
+    padded = np.full((maps.sizes["domain"], 5), np.nan)
+    padded[:, :3] = maps["mesh_face_nodes"].values + 1  # counted from one, decoded fill
+    shifted = maps.drop_vars("mesh_face_nodes").assign(
+        mesh_face_nodes=(("domain", "corners"), padded, {"start_index": 1})
+    )
+    for a, b in zip(map_figures.polygons(shifted), expected, strict=True):
+        np.testing.assert_array_equal(a, b)
+    with pytest.raises(ValueError, match="UGRID"):
+        map_figures.polygons(maps.drop_vars("mesh"))
+
+
+def test_grains_are_drawn_only_inside_and_only_if_few(results, monkeypatch):
+    from matplotlib.collections import EllipseCollection
+
+    study, _, folder = results(RADIAL)
+    scene = case_at(study, (0,)).scene
+    maps = invented_maps(study, (0,), spacing=2.4)
+    kept = []
+    monkeypatch.setattr(map_figures, "save", lambda figure, path, text: kept.append(figure))
+    with house_style():
+        map_figures.draw_maps(maps, scene, "few", folder / "m.png")
+        monkeypatch.setattr(map_figures, "MOST_GRAINS", 10)
+        map_figures.draw_maps(maps, scene, "many", folder / "m.png")
+    few, many = (
+        [c for c in figure.axes[0].collections if isinstance(c, EllipseCollection)]
+        for figure in kept
+    )
+    assert many == []
+    assert np.all(contains(scene.region, few[0].get_offsets()))
+
+
+def test_small_changes_are_drawn_as_changes(results, monkeypatch):
+    study, _, folder = results(RADIAL)
+    scene = case_at(study, (0,)).scene
+    maps = invented_maps(study, (0,), spacing=2.4)
+    maps["pressure"] = 7e6 + 1e-4 * (maps["pressure"] - 7e6)
+    kept = []
+    monkeypatch.setattr(map_figures, "save", lambda figure, path, text: kept.append(figure))
+    with house_style():
+        map_figures.draw_maps(maps, scene, "small", folder / "m.png", (2753.0,))
+    panel, bar = kept[0].axes
+    (pores,) = [c for c in panel.collections if isinstance(c, PolyCollection)]
+    expected = maps["pressure"].sel(elapsed_time=2753.0).values - 7e6
+    np.testing.assert_allclose(pores.get_array(), expected, rtol=1e-6, atol=1e-6)
+    assert bar.get_ylabel() == "pore pressure − initial 7 MPa (Pa)"
+
+
+def test_colours_are_not_taken_by_a_few_extremes():
+    field = np.linspace(5.0, 7.0, 1000)
+    assert map_figures.colour_limits(field) == (5.0, 7.0)
+    low, high = map_figures.colour_limits(np.append(field, -900.0))
+    assert low == pytest.approx(5.02, abs=0.01)
+    assert high == 7.0
+    low, high = map_figures.colour_limits(np.full(10, 7.0))
+    assert low < 7.0 < high
+
+
+@pytest.mark.parametrize(
+    ("times", "wanted", "expected"),
+    [
+        (np.geomspace(1, 1e4, 41), None, [10, 20, 30, 40]),
+        (np.geomspace(1, 1e4, 41), (1.0, 12.0), [0, 11]),
+        (np.array([5.0, 9.0]), None, [0, 1]),
+        (np.array([5.0, 9.0]), (1e9,), [1]),
+        (np.array([5.0, 9.0]), (), [0, 1]),
+    ],
+)
+def test_map_times(times, wanted, expected):
+    assert map_figures.map_times(times, wanted) == expected
+
+
+def test_log_log_curves_are_the_data(results, monkeypatch):
+    study, dataset, folder = results(RADIAL)
+    kept = []
+    monkeypatch.setattr("sweep.figures.wells.save", lambda figure, path, text: kept.append(figure))
+
+    def well_of(index, name):
+        return case_at(study, list(index.values())).scene.wells[0]
+
+    with house_style():
+        draw_well(dataset, "producer", well_of, folder / "w.png")
+    panel = kept[0].axes[0]
+    curves = [line for line in panel.lines if len(line.get_xdata()) > 2]
+    assert len(curves) == 10
+    change = dataset["pressure_change"].values[0, 0]
+    np.testing.assert_allclose(curves[0].get_ydata(), change / 1e6)
+    np.testing.assert_allclose(curves[0].get_xdata(), dataset["elapsed_time"].values)
+    assert panel.get_xscale() == panel.get_yscale() == "log"
+    # the fan has the slopes that it names
+    fan = panel.lines[len(curves) :]
+    slopes = [np.diff(np.log(line.get_ydata())) / np.diff(np.log(line.get_xdata())) for line in fan]
+    np.testing.assert_allclose(np.ravel(slopes), [1, 0.5, 0.25, 0], atol=1e-9)
+
+
+def test_each_flow_period_is_drawn_over_its_own_time(results, monkeypatch):
+    study, dataset, folder = results(RADIAL)
+    kept = []
+    monkeypatch.setattr("sweep.figures.wells.save", lambda figure, path, text: kept.append(figure))
+    well = case_at(study, (0,)).scene.wells[0]
+    shut_in = dataclasses.replace(well, rate=None, schedule=((0.0, 2e-5), (420.0, 0.0)))
+    with house_style():
+        draw_well(dataset.isel(packing=[0]), "producer", lambda i, n: shut_in, folder / "w.png")
+    first, second = (line.get_xdata() for line in kept[0].axes[0].lines[:2])
+    np.testing.assert_allclose(first, [120, 420])
+    np.testing.assert_allclose(second, [1000, 2333, 23666])
+
+
+def test_wells_without_a_rate_have_no_picture(results):
+    study, dataset, folder = results(RADIAL)
+    dataset["pressure_change"][:] = np.nan
+    with house_style():
+        assert draw_well(dataset, "producer", lambda i, n: None, folder / "w.png") is None
+
+
+def test_permeability_without_axes_or_without_values(results):
+    study, dataset, folder = results(SMALL)
+    single = dataset.isel(fracture_angle=0, aperture=0, stress_yy=0, rate=0)
+    with house_style():
+        assert caption(draw_permeability(single, folder / "k.png")) == (
+            "Diagonal of the permeability tensor."
+        )
+        assert (
+            draw_permeability(single[["status", "permeability"]] * np.nan, folder / "k.png") is None
+        )
+
+
+def test_labels_come_from_the_table_of_quantities():
+    assert label("pressure", np.array([5e6, 7e6])) == (1e-6, "pore pressure (MPa)")
+    assert label("porosity", 0.2)[1].startswith("pore volume")
+
+
+def test_helpers_of_style():
+    assert pick(3, 5) == [0, 1, 2]
+    assert pick(100, 4) == [0, 33, 66, 99]
+    assert is_log_spaced(np.array([1.0, 10.0, 100.0]))
+    assert not is_log_spaced(np.array([0.0, 30.0, 65.0]))
+    assert not is_log_spaced(np.array(["a", "b"]))

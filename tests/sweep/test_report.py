@@ -1,0 +1,133 @@
+"""The report: complete, escaped, offline."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+import sweep.figures as figures
+from sweep.report import write_report
+from sweep.report.html import grid
+from tests.sweep.invented import RADIAL, SWEEP, invented_dataset, invented_maps, study_of
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page; every tag that opens must close."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.text, self.tags = [], [], [], []
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.attributes += [(tag, *attr) for attr in attrs]
+        if tag not in ("meta", "img"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+@pytest.fixture
+def made(tmp_path, monkeypatch):
+    """Write the report of a study; returns its page."""
+
+    def make(text, change=lambda dataset: None, draw=True):
+        study = study_of(text, tmp_path)
+        dataset = invented_dataset(study)
+        change(dataset)
+        monkeypatch.setattr(
+            figures, "open_case", lambda folder, **at: invented_maps(study, (0,) * len(at), 2.4)
+        )
+        paths = figures.write_figures(dataset, tmp_path, study) if draw else []
+        path = write_report(dataset, tmp_path, study, paths)
+        assert path == tmp_path / "report.html"
+        return Page(path.read_text(encoding="utf-8")), dataset, study
+
+    return make
+
+
+def test_page_holds_everything_and_asks_for_nothing(made):
+    page, dataset, study = made(RADIAL)
+    text = " ".join(page.text)
+    for word in (study.title, "5 cases, 5 done", "grains.seed", "mass balance error", "Eq. 29"):
+        assert word in text
+    images = [value for tag, name, value in page.attributes if (tag, name) == ("img", "src")]
+    assert len(images) == 4
+    assert all(value.startswith("data:image/png;base64,") for value in images)
+    assert not {"script", "link", "iframe"} & set(page.tags)
+    assert not [a for a in page.attributes if a[1] in ("href", "action", "onclick")]
+    assert not re.search(r"url\(|@import|https?:", "".join(page.text))
+    assert study.text.strip() in "".join(page.text)
+
+
+def test_images_say_what_they_show(made):
+    page, _, _ = made(RADIAL)
+    alternatives = [value for tag, name, value in page.attributes if name == "alt"]
+    assert len(alternatives) == 4
+    assert all(len(text) > 20 for text in alternatives)
+
+
+def test_comparison_tables_are_in_the_page(made):
+    page, _, _ = made(RADIAL)
+    text = " ".join(page.text)
+    assert "compare radial by time" in text
+    assert "relative error, mean" in text
+
+
+def test_failures_are_listed_with_their_message_and_everything_is_escaped(made):
+    evil = "<script>alert('x')</script> & \"more\""
+
+    def fail(dataset):
+        dataset["status"][1, 0, 0, 0] = 2
+        dataset["message"][1, 0, 0, 0] = evil
+        dataset.attrs["history"] = evil
+
+    page, _, _ = made(SWEEP.replace("Angle, aperture, stress and rate", "a < b & c"), fail, False)
+    text = " ".join(page.text)
+    assert "script" not in page.tags
+    assert text.count(evil) == 2
+    assert "timed out" in text
+    assert "fracture angle 30°, aperture 20 µm" in text
+    assert "a < b & c" in text
+    assert "36 cases, 35 done" in text
+
+
+def test_many_failures_are_counted_not_listed(made):
+    def fail(dataset):
+        dataset["status"][:] = 1
+
+    page, _, _ = made(SWEEP.replace("count: 3", "count: 9"), fail, False)
+    text = " ".join(page.text)
+    assert "108 cases, 0 done" in text
+    assert "58 more are not listed" in text
+
+
+def test_numbers_are_those_of_the_dataset(made):
+    def known(dataset):
+        dataset["porosity"][:] = np.array([0.1, 0.2, 0.3, 0.4, 0.5])
+        dataset["mass_balance_error"][:] = [1e-15, 3e-12, np.nan, 0, 0]
+
+    page, _, _ = made(RADIAL, known, False)
+    cells = [cell for cell in page.text if cell.strip()]
+    at = cells.index("porosity")
+    assert cells[at + 1 : at + 4] == ["0.1", "0.3", "0.5"]
+    at = cells.index("mass balance error")
+    assert cells[at + 2] == "3×10⁻¹²"
+
+
+def test_a_study_without_axes(made):
+    single = RADIAL[: RADIAL.index("vary:")] + RADIAL[RADIAL.index("observe:") :]
+    page, _, _ = made(single.replace("figures: {compare: radial}", ""))
+    assert "Nothing was varied" in " ".join(page.text)
+
+
+def test_missing_numbers_are_dashes():
+    assert "<td class='number'>–</td>" in grid(("a",), [(float("nan"),)])
+    assert "<td>&lt;</td>" in grid(("a",), [("<",)])
