@@ -16,13 +16,14 @@ from pathlib import Path
 from tests.benchmarks.result import Result
 
 FOLDER = Path(__file__).parent
+HELPERS = ("__main__", "ran", "result")
 PAGE = FOLDER.parents[1] / "docs" / "benchmarks.md"
 
 
 def names() -> list[str]:
     """Names of all checks."""
     found = [module.name for module in pkgutil.iter_modules([str(FOLDER)])]
-    return sorted(name for name in found if name not in ("__main__", "result"))
+    return sorted(name for name in found if name not in HELPERS)
 
 
 def run(name: str) -> tuple[str, Result]:

@@ -31,7 +31,7 @@ SCENE = Scene(
 
 def eigen_solution(system: System, times: np.ndarray) -> np.ndarray:
     """Well pressure (t,) in Pa for unit production, from all eigenvectors."""
-    n, pores = system.n, system.pores
+    pores = system.pores
     matrix = np.diag(system.excess)
     np.add.at(matrix, (system.edge_i, system.edge_i), system.edge_g)
     np.add.at(matrix, (system.edge_j, system.edge_j), system.edge_g)

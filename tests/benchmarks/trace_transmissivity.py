@@ -1,4 +1,4 @@
-"""A trace alone in a sealed matrix carries w³/(12 μ) along it; a sealed barrier lets nothing pass."""
+"""A trace in a sealed matrix carries w³/(12 μ) along it; a sealed barrier lets nothing pass."""
 
 from __future__ import annotations
 
@@ -49,7 +49,9 @@ def run() -> Result:
             ends = {"start": (-2.5, left - 0.5 * slope), "end": (2.5, right + 0.5 * slope)}
             fracture = Trace(name="f", aperture=APERTURE, **ends)
             expected = APERTURE**3 / (12 * VISCOSITY) / math.hypot(4.0, right - left)
-            along.append(abs(flow_through(grains, Matrix(aperture=0.0), (fracture,)) / expected - 1))
+            along.append(
+                abs(flow_through(grains, Matrix(aperture=0.0), (fracture,)) / expected - 1)
+            )
         for bottom, top in rng.uniform(-1.5, 1.5, (TRACES // 4, 2)):
             slope = (top - bottom) / 4.0
             ends = {"start": (bottom - 0.5 * slope, -2.5), "end": (top + 0.5 * slope, 2.5)}
