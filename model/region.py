@@ -183,10 +183,10 @@ def clip_segment(
                 u = (offset[0] * step[1] - offset[1] * step[0]) / denominator
                 if -1e-12 <= u <= 1 + 1e-12:
                     cuts.append(s)
-    cuts = np.unique(np.clip(cuts, 0.0, 1.0))
-    middles = a + 0.5 * (cuts[:-1] + cuts[1:])[:, None] * step
+    ends = np.unique(np.clip(cuts, 0.0, 1.0))
+    middles = a + 0.5 * (ends[:-1] + ends[1:])[:, None] * step
     kept: list[tuple[float, float]] = []
-    for s0, s1, inside in zip(cuts[:-1], cuts[1:], contains(region, middles), strict=True):
+    for s0, s1, inside in zip(ends[:-1], ends[1:], contains(region, middles), strict=True):
         if not inside:
             continue
         if kept and kept[-1][1] == s0:

@@ -56,7 +56,7 @@ def explicit(problem: Problem) -> Answer:
         step_over_storage = 1.0 / system.storage
     answer = empty_answer(problem)
     residual = 0.0
-    for k in np.flatnonzero(problem.active):
+    for k in problem.active_sources:
         rhs = system.source(k)
         p = np.zeros(system.n)
         p[system.pores :] = wells.direct(rhs)

@@ -54,7 +54,7 @@ def krylov(problem: Problem) -> Answer:
     answer = empty_answer(problem)
     error = residual = 0.0
     work = len(factors)
-    for k in np.flatnonzero(problem.active):
+    for k in problem.active_sources:
         basis, estimate, solves = _basis(problem, k, wells, factors)
         _record(problem, k, wells, basis, answer)
         error = max(error, estimate)
@@ -155,9 +155,14 @@ def _edge_triangle(system: System, wells: Algebraic, vectors: np.ndarray) -> np.
         part = slice(lo, lo + BLOCK_ROWS)
         rows = full[system.edge_i[part]] - full[system.edge_j[part]]
         rows *= np.sqrt(system.edge_g[part])[:, None]
-        triangle = np.linalg.qr(np.concatenate([triangle, rows]), mode="r")
+        triangle = _triangle(triangle, rows)
     rows = np.sqrt(system.fixed_g)[:, None] * full[system.fixed_node]
-    return np.linalg.qr(np.concatenate([triangle, rows]), mode="r")
+    return _triangle(triangle, rows)
+
+
+def _triangle(above: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """R of the QR decomposition of two blocks of rows."""
+    return np.asarray(np.linalg.qr(np.concatenate([above, rows]), mode="r"))
 
 
 def _project(triangle: np.ndarray, vectors: np.ndarray, rhs: np.ndarray) -> Basis:

@@ -25,6 +25,11 @@ class Problem(NamedTuple):
     tolerance: float
     safety_factor: float
 
+    @property
+    def active_sources(self) -> list[int]:
+        """Positions of the sources that act."""
+        return [int(k) for k in np.flatnonzero(self.active)]
+
 
 class Answer(NamedTuple):
     """What a solver found."""

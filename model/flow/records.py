@@ -42,8 +42,8 @@ def outputs(system: System, probe_domains: np.ndarray) -> Records:
     for k in range(fixed):
         direct[k, wells + k] = system.fixed_g[system.fixed_source == k].sum()
     source = system.source_of_domain[probe_domains]
-    for k in np.flatnonzero(source >= 0):
-        direct[source[k], wells + fixed + k] = 1.0
+    held = np.flatnonzero(source >= 0)
+    direct[source[held], wells + fixed + held] = 1.0
     return Records(matrix, direct, wells, fixed)
 
 

@@ -25,7 +25,7 @@ def steady(problem: Problem) -> Answer:
     factor = factorise(symbolic, system.edge_g, system.excess)
     answer = empty_answer(problem)
     residual = 0.0
-    for k in np.flatnonzero(problem.active):
+    for k in problem.active_sources:
         rhs = system.source(k)
         p = solve(factor, rhs)
         answer.output[k, 0] = problem.records.rows @ p + problem.records.direct[k]

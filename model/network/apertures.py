@@ -11,7 +11,7 @@ from model.region import Region
 from model.scene import Fracture, Matrix
 
 
-def stressed_aperture(w0: float, force: np.ndarray, half_force: float) -> np.ndarray:
+def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: float) -> np.ndarray:
     """Aperture of pipes under compression, w = w0 F0 / (F + F0).
 
     Eq. 2 with its sign put right: F0 (`half_force`, N per metre) is the force that halves
@@ -20,7 +20,7 @@ def stressed_aperture(w0: float, force: np.ndarray, half_force: float) -> np.nda
     return w0 * half_force / (force + half_force)
 
 
-def parted_aperture(w0: float, gap: np.ndarray, gap_factor: float) -> np.ndarray:
+def parted_aperture(w0: np.ndarray, gap: np.ndarray, gap_factor: float) -> np.ndarray:
     """Aperture of pipes whose grains have parted, w = w0 + m g (Eq. 3); gap g ≥ 0 in m."""
     return w0 + gap_factor * gap
 

@@ -1,0 +1,201 @@
+"""Grains brought to rest: the loop over steps, and the driver around it."""
+
+from __future__ import annotations
+
+from dataclasses import InitVar, dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from model.compile import kernel
+from model.mechanics.bonds import BondState, no_bonds
+from model.mechanics.contacts import ContactLaw, Sums, contact_forces
+from model.mechanics.grains import Array, Grains
+from model.mechanics.motion import (
+    START_MIXING,
+    Fire,
+    damped_velocities,
+    fire_velocities,
+    move,
+    unbalanced_force,
+)
+from model.mechanics.neighbours import Pairs, find_pairs, largest_displacement, no_pairs
+from model.mechanics.servo import Servo, move_walls, setpoint, stress_error, stretches
+
+TIME_STEP = 0.5  # √(m/k): stable for six contacts a grain (`grains.scaled_mass`); 0.6 is not
+SKIN = 0.3  # of the list of pairs, in mean radii
+FIRE = -1.0  # as the coefficient of damping
+
+# how a run ended
+AT_REST, OUT_OF_STEPS, STRAINED, LIST_STALE = 0, 1, 2, 3
+
+
+class Stop(NamedTuple):
+    """When grains count as at rest, or as lost."""
+
+    ratio: float  # mean unbalanced over mean contact force
+    stress: float  # relative error of wall and mean stresses; infinite without a servo
+    force: float = 0.0  # mean contact force below which nothing counts as touching
+    strain: float = np.inf  # of the box since the run began, in x or y, at which to give up
+
+
+class Run(NamedTuple):
+    """Where `advance` stands; handed from call to call."""
+
+    fire: Fire
+    dt: float  # the last step, whose shear displacement the contacts have not seen; 0: none
+    stretch_x: float  # strains of that step
+    stretch_y: float
+    since_x: float  # stretch since the list of pairs was made
+    since_y: float
+    strain_x: float  # strain since the run began
+    strain_y: float
+    progress: float  # fraction of the stress path
+    ratio: float  # mean unbalanced over mean contact force, when the run ended
+    error: float  # relative error of the stresses
+
+
+@kernel
+def advance(
+    grains: Grains,
+    pairs: Pairs,
+    bonds: BondState,
+    law: ContactLaw,
+    box: Array,
+    servo: Servo,
+    stop: Stop,
+    run: Run,
+    dt: float,
+    damping: float,
+    slack: float,
+    reach: float,
+    steps: int,
+) -> tuple[int, int, Run, Sums]:
+    """Step until at rest, until the list of pairs may be stale, or until a bound is met.
+
+    `damping` is the coefficient of local damping, negative for FIRE. `slack` is the distance
+    that grains may move, and `reach` the one over which they may be stretched towards each
+    other, before the list is looked at again. Returns (how it ended, steps taken, run, sums).
+    """
+    fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
+    since_x, since_y, strain_x, strain_y = run.since_x, run.since_y, run.strain_x, run.strain_y
+    progress, ratio, error = run.progress, run.ratio, run.error
+    taken = 0
+    while True:
+        sums = contact_forces(grains, pairs, bonds, law, box, last, stretch_x, stretch_y)
+        wanted_xx, wanted_yy = setpoint(servo, progress)
+        if servo.gain > 0.0:
+            error = stress_error(sums, box, wanted_xx, wanted_yy)
+        if progress < 1.0:
+            if error < servo.band:
+                progress = min(1.0, progress + servo.pace * np.sqrt(min(wanted_xx, wanted_yy)))
+        elif error <= stop.stress:
+            mean = sums.force / max(sums.contacts, 1)
+            if unbalanced_force(grains) <= stop.ratio * mean or mean < stop.force:
+                end = AT_REST
+                break
+        if max(abs(strain_x), abs(strain_y)) > stop.strain:
+            end = STRAINED
+            break
+        if taken >= steps:
+            end = OUT_OF_STEPS
+            break
+        if servo.gain > 0.0:
+            stretch_x, stretch_y = stretches(servo, sums, box, wanted_xx, wanted_yy)
+            move_walls(servo, sums, box, law.kn, wanted_xx, wanted_yy, stretch_x, stretch_y)
+        if damping < 0.0:
+            fire = fire_velocities(grains, fire, dt)
+            last = fire.dt
+        else:
+            damped_velocities(grains, dt, damping)
+            last = dt
+        fastest = move(grains, last, stretch_x, stretch_y)
+        since_x *= 1.0 + stretch_x
+        since_y *= 1.0 + stretch_y
+        strain_x += stretch_x
+        strain_y += stretch_y
+        slack -= last * np.sqrt(fastest) + reach * max(abs(stretch_x), abs(stretch_y))
+        taken += 1
+        if slack < 0.0:
+            end = LIST_STALE
+            break
+    if end != LIST_STALE:  # the contacts have seen the last step
+        last = stretch_x = stretch_y = 0.0
+        ratio = unbalanced_force(grains) * sums.contacts / max(sums.force, 1e-300)
+    run = Run(
+        fire, last, stretch_x, stretch_y, since_x, since_y, strain_x, strain_y,
+        progress, ratio, error,
+    )  # fmt: skip
+    return end, taken, run, sums
+
+
+@dataclass
+class Specimen:
+    """Grains in a box of four walls, with all that a run remembers between calls.
+
+    `known` lists contacts that already have a shear force or a bond. The origin must lie
+    inside the box, for it is the fixed point of the servo's stretch.
+    """
+
+    grains: Grains
+    box: Array  # (4,) xmin, xmax, ymin, ymax
+    law: ContactLaw
+    bonds: BondState = field(default_factory=no_bonds)
+    dt: float = TIME_STEP
+    skin: float = SKIN
+    known: InitVar[Pairs | None] = None
+    pairs: Pairs = field(init=False)
+    run: Run = field(init=False)
+    sums: Sums = field(init=False)
+    steps: int = field(init=False, default=0)
+    rebuilds: int = field(init=False, default=0)
+
+    def __post_init__(self, known: Pairs | None) -> None:
+        if known is None:
+            known = no_pairs(len(self.grains.x))
+        self.pairs = find_pairs(self.grains, self.skin, known)
+        fire = Fire(self.dt, START_MIXING, 0)
+        self.run = Run(fire, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, np.inf, np.inf)
+
+    def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
+        """Follow the servo's path until at rest; returns AT_REST, OUT_OF_STEPS or STRAINED.
+
+        `damping` is the coefficient of local damping, or FIRE.
+        """
+        self.run = self.run._replace(
+            strain_x=0.0,
+            strain_y=0.0,
+            progress=0.0 if servo.gain > 0.0 else 1.0,
+            ratio=np.inf,
+            error=np.inf,
+        )
+        reach = float(self.grains.radius.max()) + self.skin
+        slack = self._slack(reach)
+        left = steps
+        while True:
+            end, taken, self.run, self.sums = advance(
+                self.grains, self.pairs, self.bonds, self.law, self.box, servo, stop, self.run,
+                self.dt, damping, slack, reach, left,
+            )  # fmt: skip
+            self.steps += taken
+            left -= taken
+            if end != LIST_STALE:
+                return int(end)
+            slack = self._slack(reach)
+            if slack < 0.1 * self.skin:
+                self.pairs = find_pairs(self.grains, self.skin, self.pairs)
+                self.run = self.run._replace(since_x=1.0, since_y=1.0)
+                self.rebuilds += 1
+                slack = 0.5 * self.skin
+
+    def stand_still(self) -> None:
+        """Take all motion away."""
+        for velocity in (self.grains.vx, self.grains.vy, self.grains.spin):
+            velocity[:] = 0.0
+
+    def _slack(self, reach: float) -> float:
+        """How far grains may still move before the list of pairs can miss a contact."""
+        since_x, since_y = self.run.since_x, self.run.since_y
+        affine = reach * max(abs(since_x - 1.0), abs(since_y - 1.0))
+        moved = largest_displacement(self.grains, self.pairs, since_x, since_y)
+        return 0.5 * self.skin - affine - float(moved)

@@ -1,0 +1,117 @@
+"""Four frictionless walls and an affine strain rate, servo-controlled to wanted stresses.
+
+Walls alone need steps in proportion to the width of the specimen, since each pushes only
+its own neighbours. Here the mean stress drives a uniform stretch of grains and walls, and
+each wall besides follows the error of its own force. Stresses are positive in compression.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from model.compile import kernel
+from model.mechanics.contacts import Sums
+from model.mechanics.grains import Array
+
+
+class Servo(NamedTuple):
+    """A straight stress path from start to target, and how it is followed."""
+
+    start_xx: float
+    start_yy: float
+    target_xx: float
+    target_yy: float
+    pace: float = np.inf  # part of the path covered by one step, over √(smaller stress)
+    band: float = np.inf  # relative lag of the stresses behind the path at which it waits
+    gain: float = 0.05  # part of the error in the mean stress that one step corrects; 0: no servo
+    wall_gain: float = 0.3  # part of the error in each wall's force that one step corrects
+    modulus: float = 0.5  # stress per strain that the gain assumes, in units of k_n
+    limit: float = 5e-5  # largest strain in one step
+
+
+STANDING = Servo(1.0, 1.0, 1.0, 1.0, gain=0.0)  # a box that does not move
+
+
+@kernel
+def setpoint(servo: Servo, progress: float) -> tuple[float, float]:
+    """Wanted stresses (xx, yy) at a fraction of the path."""
+    return (
+        servo.start_xx + progress * (servo.target_xx - servo.start_xx),
+        servo.start_yy + progress * (servo.target_yy - servo.start_yy),
+    )
+
+
+@kernel
+def clip(value: float, limit: float) -> float:
+    """Value within ±limit."""
+    return min(max(value, -limit), limit)
+
+
+@kernel
+def stretches(
+    servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float
+) -> tuple[float, float]:
+    """Strains of one step in x and y, extension positive: clip[g (σ − σ_wanted) / M].
+
+    σ is the mean stress by the actual branch vectors; r_a + r_b instead would set the stretch
+    against the walls.
+    """
+    area = (box[1] - box[0]) * (box[3] - box[2])
+    factor = servo.gain / servo.modulus
+    return (
+        clip(factor * (sums.virial_xx / area - wanted_xx), servo.limit),
+        clip(factor * (sums.virial_yy / area - wanted_yy), servo.limit),
+    )
+
+
+@kernel
+def move_walls(
+    servo: Servo,
+    sums: Sums,
+    box: Array,
+    kn: float,
+    wanted_xx: float,
+    wanted_yy: float,
+    stretch_x: float,
+    stretch_y: float,
+) -> None:
+    """Carry the walls with the stretch, and correct each by its own force error.
+
+    A wall's stiffness is that of its contacts, n k_n.
+    """
+    width, height = box[1] - box[0], box[3] - box[2]
+    far_x, far_y = servo.limit * width, servo.limit * height
+    gain = servo.wall_gain / kn
+    push_x, push_y = wanted_xx * height, wanted_yy * width
+    box[0] += stretch_x * box[0] - clip(
+        gain * (sums.left - push_x) / max(sums.left_contacts, 1), far_x
+    )
+    box[1] += stretch_x * box[1] + clip(
+        gain * (sums.right - push_x) / max(sums.right_contacts, 1), far_x
+    )
+    box[2] += stretch_y * box[2] - clip(
+        gain * (sums.bottom - push_y) / max(sums.bottom_contacts, 1), far_y
+    )
+    box[3] += stretch_y * box[3] + clip(
+        gain * (sums.top - push_y) / max(sums.top_contacts, 1), far_y
+    )
+
+
+@kernel
+def stress_error(sums: Sums, box: Array, wanted_xx: float, wanted_yy: float) -> float:
+    """Largest relative error of the four wall stresses and the two mean stresses."""
+    width, height = box[1] - box[0], box[3] - box[2]
+    area = width * height
+    worst_x = max(
+        abs(sums.left / height - wanted_xx),
+        abs(sums.right / height - wanted_xx),
+        abs(sums.virial_xx / area - wanted_xx),
+    )
+    worst_y = max(
+        abs(sums.bottom / width - wanted_yy),
+        abs(sums.top / width - wanted_yy),
+        abs(sums.virial_yy / area - wanted_yy),
+    )
+    return max(worst_x / wanted_xx, worst_y / wanted_yy)

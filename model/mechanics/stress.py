@@ -1,0 +1,224 @@
+"""The stage *stress*: packed grains, bonded or not, loaded by four walls.
+
+Path: bonds are installed on the contacts of the packed state, then the stresses of the walls
+move on a straight line from those of the packed state (equal on all walls; LEAST_START of the
+target in a lattice, which starts without force) to the target. The inertial number
+I = ε̇ √(m/p) of the path is INERTIAL_NUMBER, and the path waits while the stresses lag behind
+by more than BAND. So the state depends on this path, and hardly on the dynamics that follow
+it: at porosity 0.165 and 2:1, forces change by less than 1 % (L2) when the path is taken more
+slowly or damped otherwise. Near the strength this is lost, as it is in nature.
+
+Units inside are the mean radius, k_n and the mass of a grain; stresses are σ / k_n.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.mechanics import measures
+from model.mechanics.bonds import (
+    INTACT,
+    NO_BONDS,
+    PARALLEL_BONDS,
+    BondState,
+    install,
+    no_bonds,
+)
+from model.mechanics.contacts import ContactLaw
+from model.mechanics.equilibrium import AT_REST, STRAINED, TIME_STEP, Specimen, Stop
+from model.mechanics.grains import at_rest, scaled_mass
+from model.mechanics.neighbours import Pairs
+from model.mechanics.servo import Servo, setpoint
+from model.outcome import ModelError
+from model.products import Packing, StressState
+from model.scene import Bonds, Stress
+
+INERTIAL_NUMBER = 5e-5
+BAND = 0.02  # lag of the stresses behind the path at which it waits, relative
+LEAST_START = 0.01  # of the target stress: where a path starts at least
+MODULUS = 0.5  # stress per strain that the pace assumes, over k_n
+DAMPING = 0.5  # local
+MOST_STEPS = 200_000
+REST = Stop(ratio=1e-3, stress=1e-3)
+PLASTIC_STRAIN = 0.01  # beyond the elastic one, at which a specimen counts as flowing
+
+
+def load(
+    packing: Packing,
+    *,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds | None,
+    stress: Stress,
+) -> StressState:
+    """Grains in equilibrium under the walls' stresses, along the path stated above.
+
+    Parameters
+    ----------
+    packing : the packed state; its forces over k_n are scaled with the stiffness, shear forces
+        beyond friction are cut.
+    normal_stiffness : k_n of contacts, also with the walls, N/m per metre of depth.
+    stiffness_ratio : k_n / k_s.
+    friction : Coulomb coefficient between grains; walls are frictionless.
+    bonds : cement on all contacts of the packed state, or None.
+    stress : target stresses, Pa, compression positive.
+
+    Raises
+    ------
+    ModelError : the specimen flows (beyond its strength), or did not come to rest in the
+        number of steps that is allowed for; the text says how far it came and what to try.
+    """
+    radius = float(packing.radius.mean())
+    specimen = specimen_of(packing, normal_stiffness, stiffness_ratio, friction, bonds)
+    path = straight_path(
+        float(packing.packing_pressure), stress.xx / normal_stiffness, stress.yy / normal_stiffness
+    )
+    slowest = path.pace * np.sqrt(min(path.start_xx, path.start_yy, path.target_xx, path.target_yy))
+    steps = int(min(MOST_STEPS, 30_000 + 2.0 / slowest))
+    way = max(abs(path.target_xx - path.start_xx), abs(path.target_yy - path.start_yy))
+    stop = REST._replace(strain=PLASTIC_STRAIN + 2.0 * way / MODULUS)
+    reason = specimen.relax(path, stop, damping=DAMPING, steps=steps)
+    if reason != AT_REST:
+        raise ModelError(_why(specimen, path, reason, normal_stiffness, friction, steps))
+    return _product(specimen, packing, radius, normal_stiffness)
+
+
+def specimen_of(
+    packing: Packing,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds | None,
+) -> Specimen:
+    """The packed grains in units of mean radius and k_n, centred, with bonds installed."""
+    unit = float(packing.radius.mean())
+    box = packing.box / unit
+    x = packing.x / unit - 0.5 * (box[0] + box[1])
+    y = packing.y / unit - 0.5 * (box[2] + box[3])
+    radius = packing.radius / unit
+    a, b = packing.contact_a, packing.contact_b
+    cement = no_bonds()
+    if bonds is not None:
+        cement = install(
+            bonds.kind,
+            tensile_strength=bonds.tensile_strength / normal_stiffness,
+            shear_strength=bonds.shear_strength / normal_stiffness,
+            radius_multiplier=bonds.radius_multiplier,
+            kn=1.0,
+            ks=1.0 / stiffness_ratio,
+            radius_a=radius[a],
+            radius_b=radius[b],
+            distance=np.hypot(x[b] - x[a], y[b] - y[a]),
+        )
+    limit = friction * packing.normal_force
+    contacts = Pairs(
+        start=np.searchsorted(a, np.arange(len(x) + 1)),
+        other=b.astype(np.int32),
+        shear=np.clip(packing.shear_force, -limit, limit) / unit,
+        bond=np.arange(len(a), dtype=np.int32) if bonds else np.full(len(a), -1, np.int32),
+        x=x,
+        y=y,
+    )
+    stiffest = 1.0 + (float(cement.kn.max(initial=0.0)) if cement.kind == PARALLEL_BONDS else 0.0)
+    return Specimen(
+        at_rest(x, y, radius, scaled_mass(radius, stiffest, TIME_STEP)),
+        box - 0.5 * np.repeat([box[0] + box[1], box[2] + box[3]], 2),
+        ContactLaw(1.0, 1.0 / stiffness_ratio, friction),
+        bonds=cement,
+        known=contacts,
+    )
+
+
+def straight_path(pressure: float, xx: float, yy: float) -> Servo:
+    """Path of the wall stresses from an isotropic pressure to (xx, yy), all over k_n."""
+    start_xx, start_yy = max(pressure, LEAST_START * xx), max(pressure, LEAST_START * yy)
+    way = max(abs(xx - start_xx), abs(yy - start_yy), 1e-3 * xx)
+    return Servo(
+        start_xx=start_xx,
+        start_yy=start_yy,
+        target_xx=xx,
+        target_yy=yy,
+        pace=MODULUS * INERTIAL_NUMBER * TIME_STEP / way,
+        band=BAND,
+    )
+
+
+def _why(
+    specimen: Specimen, path: Servo, reason: int, kn: float, friction: float, steps: int
+) -> str:
+    """What a specimen that did not come to rest has reached, and what to try."""
+    run = specimen.run
+    xx, yy = (kn * value for value in setpoint(path, run.progress))
+    reached = (
+        f"at xx {xx:.4g} Pa, yy {yy:.4g} Pa (ratio {max(xx, yy) / min(xx, yy):.2f}:1, "
+        f"friction {friction:g}"
+    )
+    if specimen.bonds.kind != NO_BONDS:
+        broken = np.count_nonzero(specimen.bonds.state != INTACT)
+        reached += f", {broken} of {len(specimen.bonds.state)} bonds broken"
+    reached += ")"
+    target = f"the target of {kn * path.target_xx:.4g} and {kn * path.target_yy:.4g} Pa"
+    remedy = "try a smaller stress difference, more friction, a lower porosity, or "
+    remedy += "bonds" if specimen.bonds.kind == NO_BONDS else "stronger bonds"
+    if reason == STRAINED:
+        strain = max(abs(run.strain_x), abs(run.strain_y))
+        return (
+            f"the specimen flows {reached}: it strained by {strain:.1%} without carrying "
+            f"{target}, which lies beyond its strength; {remedy}"
+        )
+    return (
+        f"the specimen did not come to rest in {steps} steps {reached}: {run.progress:.0%} of the "
+        f"way to {target}, stresses off by {run.error:.1%}, unbalanced force "
+        f"{run.ratio:.1e} of the contact force; it may be close to its strength; {remedy}"
+    )
+
+
+def _product(
+    specimen: Specimen, packing: Packing, unit: float, normal_stiffness: float
+) -> StressState:
+    """The state in SI units, at the place of the packing."""
+    grains, box, sums, bonds = specimen.grains, specimen.box, specimen.sums, specimen.bonds
+    assert sums is not None  # set by relax
+    centre = 0.5 * np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]])
+    a, b = measures.listed(specimen.pairs)
+    overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
+    normal, shear = np.maximum(overlap, 0.0), specimen.pairs.shear.copy()
+    intact = bond_of_pair(specimen.pairs.bond, bonds)
+    glued = intact >= 0
+    if bonds.kind == PARALLEL_BONDS:
+        of, distance = intact[glued], (grains.radius[a] + grains.radius[b] - overlap)[glued]
+        normal[glued] += bonds.kn[of] * (bonds.length[of] - distance)
+        shear[glued] += bonds.shear[of]
+    else:
+        normal[glued] = overlap[glued]
+    kept = glued | (overlap > 0.0)
+    width, height = box[1] - box[0], box[3] - box[2]
+    virial = np.array([sums.virial_xx, sums.virial_yy, sums.virial_xy])
+    walls = np.array(
+        [sums.left / height, sums.right / height, sums.bottom / width, sums.top / width]
+    )
+    return StressState(
+        x=centre[0] + unit * grains.x,
+        y=centre[1] + unit * grains.y,
+        contact_a=a[kept],
+        contact_b=b[kept],
+        normal_force=unit * normal_stiffness * normal[kept],
+        shear_force=unit * normal_stiffness * shear[kept],
+        bonded=glued[kept],
+        box=unit * box + np.repeat(centre, 2),
+        stress=normal_stiffness * virial / (width * height),
+        wall_stress=normal_stiffness * walls,
+        unbalanced_ratio=np.array(specimen.run.ratio),
+        broken_bonds=np.array(np.count_nonzero(bonds.state != INTACT)),
+        steps=np.array(specimen.steps),
+    )
+
+
+def bond_of_pair(bond: np.ndarray, bonds: BondState) -> np.ndarray:
+    """Index of the intact bond of each pair, −1 where there is none."""
+    intact = bond.astype(np.int64)
+    intact[intact >= 0] = np.where(
+        bonds.state[intact[intact >= 0]] == INTACT, intact[intact >= 0], -1
+    )
+    return intact

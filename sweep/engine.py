@@ -1,0 +1,351 @@
+"""A study from its file to its dataset: plan, run what is missing, collect, draw."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import itertools
+import os
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext, suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from model.parameters import SceneError
+from sweep.cost import Costs
+from sweep.lock import FolderLock, LockedError
+from sweep.plan import Plan, make_plan
+from sweep.progress import Progress
+from sweep.scenes import SceneBuilder
+from sweep.schedule import Schedule
+from sweep.stages import MODEL, Status, stage_table
+from sweep.store import Store, StoreError, write_durably
+from sweep.study import Study, load_study
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from model.scene import Scene
+    from sweep.collect import Verdict
+    from sweep.execute import Executed
+
+__all__ = ["Finished", "LockedError", "Prepared", "StoreError", "prepare", "run", "run_study"]
+
+STUDY_FILE, DATASET_FILE, REPORT_FILE = "study.yaml", "dataset.nc", "report.html"
+COLLECTOR = 1  # raise it whenever the dataset made of the same products changes
+ROUNDS = 4  # times that damaged products are found and computed again before giving up
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A study, its plan, and what of it is stored."""
+
+    study: Study
+    plan: Plan
+    store: Store
+    folder: Path  # results/<study>
+    scene_of: Callable[[int], Scene]
+
+    def stored(self) -> np.ndarray:
+        """Which runs have their product, (runs,) bool."""
+        has = (self.store.has(run.id) for run in self.plan.runs)
+        return np.fromiter(has, dtype=bool, count=len(self.plan.runs))
+
+    def failed(self, stored: np.ndarray) -> np.ndarray:
+        """Which runs are known to fail and would fail again, (runs,) bool."""
+        failed = np.zeros(len(self.plan.runs), dtype=bool)
+        for k in np.flatnonzero(~stored):
+            record = self.store.failure(self.plan.runs[k].id)
+            failed[k] = record is not None and not self._may_pass(record)
+        return failed
+
+    def verdicts(self) -> list[Verdict]:
+        """How each case stands, (cases,)."""
+        from sweep.collect import verdict
+
+        stored = self.stored()
+        every = range(len(self.plan.cases))
+        return [verdict(self.plan, self.store, stored, case) for case in every]
+
+    def _may_pass(self, record: dict[str, Any]) -> bool:
+        """Whether a limit that ended a run has been raised since."""
+        ended = {Status.TIMED_OUT: "time", Status.OUT_OF_MEMORY: "memory"}
+        which = ended.get(Status(record["status"]))
+        then = record.get("limits", {}).get(which)
+        now = getattr(self.study.limits, which) if which else None
+        return then is not None and (now is None or now > then)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What a run did, and where its results lie."""
+
+    folder: Path
+    cases: int
+    failed: int
+    executed: Executed | None  # None where everything was stored already
+    collected: bool  # whether the dataset was written anew
+    dataset: Path
+    figures: tuple[Path, ...] = ()
+    report: Path | None = None
+    damaged: list[str] = field(default_factory=list)
+
+
+def prepare(
+    path: str | Path,
+    results: str | Path = "results",
+    *,
+    smoke: bool = False,
+    table: str = MODEL,
+    create: bool = False,
+) -> Prepared:
+    """Read a study, make its plan and open the store of its results.
+
+    Nothing is written unless `create` says so. Raises StudyError, StoreError.
+    """
+    study = load_study(path, smoke=smoke)
+    builder = SceneBuilder(study.values, study.axes)
+    plan = make_plan(_scenes(study, builder), stage_table(table))
+
+    @functools.lru_cache(maxsize=512)
+    def scene_of(case: int) -> Scene:
+        return builder.scene(tuple(int(k) for k in np.unravel_index(case, study.shape)))
+
+    root = Path(results)
+    return Prepared(
+        study, plan, Store.open(root / "store", create=create), root / study.name, scene_of
+    )
+
+
+def run_study(
+    path: str | Path,
+    *,
+    workers: int = 2,
+    results: str | Path = "results",
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    force: bool = False,
+    smoke: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+    figures: bool = True,
+    table: str = MODEL,
+) -> Finished:
+    """Run what is missing of a study, collect its dataset and draw its figures.
+
+    Parameters
+    ----------
+    path : the study file.
+    workers : worker processes, one thread each.
+    results : folder under which the results of all studies lie.
+    scheduler : address of a Dask scheduler, instead of workers of this machine. Its
+        workers have to see the results folder under the same path.
+    retry_failed : run again what failed before.
+    force : compute everything again, stored or not.
+    smoke : apply the study's smoke block.
+    progress : called with the state of the run, several times a second.
+    figures : whether to draw figures and write the report.
+    table : where the table of stages lies, as `module:name`.
+
+    Raises
+    ------
+    StudyError, StoreError, LockedError before anything is run; RunError where the run as
+    a whole cannot go on. A case that fails is no error: it is in the dataset.
+    """
+    if workers < 1:
+        raise ValueError(f"workers is {workers}; at least one is needed")
+    prepared = prepare(path, results, smoke=smoke, table=table, create=True)
+    root = prepared.store.root.parent
+    with FolderLock(root, f"demflow run {prepared.study.name}"):
+        prepared.store.remove_partial()
+        prepared.folder.mkdir(exist_ok=True)
+        for leftover in prepared.folder.glob("*.partial"):
+            leftover.unlink(missing_ok=True)
+        executed, damaged = None, []
+        for _ in range(ROUNDS):
+            done = _execute(prepared, workers, scheduler, retry_failed, force, progress, table)
+            executed = done if executed is None else executed.joined(done)
+            retry_failed = force = False
+            verdicts, collected, found = _collect(prepared)
+            damaged += found
+            if not found:
+                break
+        else:
+            raise StoreError(f"{prepared.store.root} does not keep what is written: {damaged[-1]}")
+        finished = Finished(
+            folder=prepared.folder,
+            cases=len(verdicts),
+            failed=sum(v.status is not Status.DONE for v in verdicts),
+            executed=executed,
+            collected=collected,
+            dataset=prepared.folder / DATASET_FILE,
+            damaged=[*(executed.damaged if executed else ()), *damaged],
+        )
+        return draw(prepared, finished, again=collected) if figures else finished
+
+
+def run(
+    path: str | Path,
+    *,
+    workers: int = 2,
+    results: str | Path = "results",
+    scheduler: str | None = None,
+    retry_failed: bool = False,
+    force: bool = False,
+    smoke: bool = False,
+    progress: Callable[[Progress], None] | None = None,
+) -> xr.Dataset:
+    """Run what is missing of a study, draw its figures and return its dataset.
+
+    Takes and raises what `run_study` does. In a script, call it below
+    `if __name__ == "__main__":`, since workers are new processes that import the script.
+    """
+    from sweep.results import open_results
+
+    finished = run_study(
+        path,
+        workers=workers,
+        results=results,
+        scheduler=scheduler,
+        retry_failed=retry_failed,
+        force=force,
+        smoke=smoke,
+        progress=progress,
+    )
+    return open_results(finished.folder)
+
+
+def draw_study(
+    path: str | Path, results: str | Path = "results", *, smoke: bool = False, table: str = MODEL
+) -> Finished:
+    """Draw figures and report of a study anew, from the dataset that a run has left.
+
+    Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset.
+    """
+    prepared = prepare(path, results, smoke=smoke, table=table)
+    verdicts = prepared.verdicts()
+    failed = sum(v.status is not Status.DONE for v in verdicts)
+    dataset = prepared.folder / DATASET_FILE
+    finished = Finished(prepared.folder, len(verdicts), failed, None, False, dataset)
+    if not dataset.exists():
+        from sweep.results import ResultsError
+
+        raise ResultsError(f"{dataset} does not exist; `demflow run` writes it")
+    with FolderLock(prepared.folder.parent, f"demflow report {prepared.study.name}"):
+        return draw(prepared, finished)
+
+
+def verify_store(results: str | Path) -> tuple[int, list[tuple[Path, str]], bool]:
+    """Re-hash every file of the store of a results folder.
+
+    Returns how many there are, those that are damaged, and whether these were set aside
+    (not in a folder that cannot be written). Raises StoreError where no store is there.
+    """
+    root = Path(results)
+    if not (root / "store" / "FORMAT").is_file():
+        raise StoreError(f"{root} is no results folder: there is no store in it")
+    store = Store.open(root / "store", create=False)
+    writable = os.access(root, os.W_OK)
+    checked, damaged = 0, []
+    with FolderLock(root, "demflow verify") if writable else nullcontext():
+        for path, problem in store.verify(set_aside=writable):
+            checked += 1
+            if problem is not None:
+                damaged.append((path, problem))
+    return checked, damaged, writable
+
+
+def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finished:
+    """Write figures and report; those that are there stay unless they are drawn `again`."""
+    folder = prepared.folder
+    report = folder / REPORT_FILE
+    if not again and report.exists():
+        there = tuple(sorted((folder / "figures").glob("*")))
+        return replace(finished, figures=there, report=report)
+    from sweep.figures import write_figures
+    from sweep.report import write_report
+    from sweep.results import open_results
+
+    dataset = open_results(folder)
+    figures = write_figures(dataset, folder, prepared.study)
+    report = write_report(dataset, folder, prepared.study, figures)
+    return replace(finished, figures=tuple(figures), report=report)
+
+
+def _scenes(study: Study, builder: SceneBuilder) -> Iterator[Scene | SceneError]:
+    for index in itertools.product(*map(range, study.shape)):
+        try:
+            yield builder.scene(index)
+        except SceneError as error:
+            yield error
+
+
+def _execute(
+    prepared: Prepared,
+    workers: int,
+    scheduler: str | None,
+    retry_failed: bool,
+    force: bool,
+    progress: Callable[[Progress], None] | None,
+    table: str,
+) -> Executed | None:
+    """Run what is missing; None where nothing is, and then no worker is started."""
+    plan, store = prepared.plan, prepared.store
+    stored = prepared.stored()
+    if force:
+        stored[:] = False
+    failed = prepared.failed(stored)
+    if retry_failed or force:
+        failed[:] = False
+    costs = Costs.read(store)
+    schedule = Schedule(plan, stored, failed, costs)
+    if not schedule.pending:
+        return None
+    # Dask is imported only where something must run
+    from sweep.execute import Limits, execute
+
+    limits = Limits(prepared.study.limits.time, prepared.study.limits.memory)
+    try:
+        return execute(
+            schedule,
+            store,
+            prepared.scene_of,
+            table=table,
+            workers=workers,
+            scheduler=scheduler,
+            limits=limits,
+            progress=progress,
+        )
+    finally:
+        with suppress(OSError):
+            costs.write(store)
+
+
+def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
+    """Write the dataset unless it is that of these products.
+
+    Returns how each case ended, whether the dataset was written, and what is damaged.
+
+    The study file is kept beside it, so that a case can be opened without the original.
+    """
+    # netCDF and xarray are imported only where they are needed
+    from sweep.collect import collect, collected_digest
+
+    study, plan = prepared.study, prepared.plan
+    verdicts = prepared.verdicts()
+    told = hashlib.sha256(f"{COLLECTOR} {study.sha256} {study.smoke} {plan.digest()}".encode())
+    for ended in verdicts:
+        told.update(f"{int(ended.status)} {ended.message}\n".encode())
+    digest = told.hexdigest()
+    path, kept = prepared.folder / DATASET_FILE, prepared.folder / STUDY_FILE
+    text = study.text.encode()
+    if not kept.exists() or kept.read_bytes() != text:
+        write_durably(kept, text)
+    if collected_digest(path) == digest:
+        return verdicts, False, []
+    # figures and report belong to one dataset: without a report they are drawn again
+    (prepared.folder / REPORT_FILE).unlink(missing_ok=True)
+    damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
+    return verdicts, True, damaged

@@ -1,0 +1,525 @@
+"""The graph of stage runs on Dask workers: processes of one thread each.
+
+Dask starts the workers, carries small messages and notices deaths. What runs where and
+when is decided here (`sweep.schedule`): each worker holds the job that it runs and, if
+that is short, one more, so that it is always known what a worker was at when it died,
+took too long or grew too large, and nobody else is blamed.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
+from queue import Empty, SimpleQueue
+from typing import TYPE_CHECKING, Any, Protocol
+
+import dask
+import psutil
+from distributed import Client, Future, KilledWorker, LocalCluster
+
+from sweep.progress import Progress
+from sweep.schedule import Bundle, Schedule, Tally
+from sweep.stages import MODEL, Status
+from sweep.store import Store
+from sweep.worker import Job, Outcome, Task, run_job
+
+if TYPE_CHECKING:
+    from model.scene import Scene
+
+TICK = 0.2  # s between looks at times, memory and living workers
+AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
+LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
+LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
+CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
+
+# One thread per worker, whatever library it comes from; set before the workers start.
+ONE_THREAD = {
+    name: "1"
+    for name in (
+        "NUMBA_NUM_THREADS",
+        "OMP_NUM_THREADS",
+        "OPENBLAS_NUM_THREADS",
+        "MKL_NUM_THREADS",
+        "VECLIB_MAXIMUM_THREADS",
+    )
+}
+
+
+class RunError(RuntimeError):
+    """The run as a whole cannot go on; what was finished is stored."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a single stage run may take; None: no limit."""
+
+    time: float | None = None  # s
+    memory: float | None = None  # bytes of resident memory of its worker
+
+
+@dataclass
+class Executed:
+    """What an execution did."""
+
+    computed: int = 0  # stage runs
+    failed: int = 0
+    damaged: list[str] = field(default_factory=list)  # products computed again, and why
+    deaths: int = 0  # of workers
+    seconds: float = 0.0
+
+    def joined(self, other: Executed | None) -> Executed:
+        """What this and another execution did together."""
+        if other is None:
+            return self
+        return Executed(
+            self.computed + other.computed,
+            self.failed + other.failed,
+            self.damaged + other.damaged,
+            self.deaths + other.deaths,
+            self.seconds + other.seconds,
+        )
+
+
+def execute(
+    schedule: Schedule,
+    store: Store,
+    scene_of: Callable[[int], Scene],
+    *,
+    table: str = MODEL,
+    workers: int = 2,
+    scheduler: str | None = None,
+    limits: Limits | None = None,
+    progress: Callable[[Progress], None] | None = None,
+) -> Executed:
+    """Run all that the schedule holds and store the products.
+
+    Parameters
+    ----------
+    schedule : the runs, and which of them are stored already.
+    store : where products go. Workers must see the same folder.
+    scene_of : the scene of a case by its index in the plan.
+    table : where the table of stages lies, as `module:name`.
+    workers : number of local worker processes.
+    scheduler : address of an existing Dask scheduler, instead of local workers.
+    limits : what a single stage run may take.
+    progress : called with the state of the run, several times a second.
+
+    Raises RunError where no worker can be had or the store cannot be written;
+    KeyboardInterrupt passes through, after the workers have been ended.
+    """
+    begin = time.monotonic()
+    pool: _Pool = _Remote(scheduler) if scheduler else _Local(workers)
+    try:
+        run = _Execution(schedule, store, scene_of, table, limits or Limits(), progress, pool)
+        run.loop()
+    finally:
+        with _uninterrupted():
+            pool.close()
+    run.report.seconds = time.monotonic() - begin
+    return run.report
+
+
+@dataclass(eq=False)
+class _Flight:
+    """A bundle that is on its way on a worker."""
+
+    bundle: Bundle
+    future: Future
+    begin: float  # when it became the first on its worker
+
+
+class _Execution:
+    """One pass over a schedule."""
+
+    def __init__(
+        self,
+        schedule: Schedule,
+        store: Store,
+        scene_of: Callable[[int], Scene],
+        table: str,
+        limits: Limits,
+        progress: Callable[[Progress], None] | None,
+        pool: _Pool,
+    ):
+        self.schedule, self.plan, self.store = schedule, schedule.plan, store
+        self.scene_of, self.table, self.limits = scene_of, table, limits
+        self.progress, self.pool = progress, pool
+        self.tally = Tally(self.plan, schedule.state)
+        self.report = Executed()
+        self.flights: dict[str, deque[_Flight]] = {}  # by worker, in the order of their work
+        self.dead: set[str] = set()
+        self.events: SimpleQueue[tuple[str, _Flight]] = SimpleQueue()
+        self.losses: dict[int, int] = {}
+        self.jobs = 0
+        self.alive = time.monotonic()
+
+    def loop(self) -> None:
+        """Hand out, wait, take in, until nothing is left to do."""
+        shown = looked = 0.0
+        while self.schedule.pending:
+            self._hand_out()
+            with suppress(Empty):
+                self._take_in(*self.events.get(timeout=TICK))
+                while True:
+                    self._take_in(*self.events.get_nowait())
+            now = time.monotonic()
+            if now - looked > TICK:
+                self._look()
+                looked = now
+            if self.progress and now - shown > TICK:
+                self._show()
+                shown = now
+        self._show()
+
+    def _hand_out(self) -> None:
+        addresses = self.pool.addresses() - self.dead
+        if addresses:
+            self.alive = time.monotonic()
+        # first whoever has nothing to do, then whoever soon will have nothing
+        for address in sorted(addresses):
+            if not self._line(address):
+                self._send(address, self.schedule.next_bundle(alone_possible=True))
+        for address in sorted(addresses):
+            line = self._line(address)
+            if len(line) == 1 and not line[0].bundle.alone:
+                seconds = line[0].bundle.seconds
+                if seconds is not None and seconds < AHEAD_SECONDS:
+                    self._send(address, self.schedule.next_bundle(alone_possible=False))
+        if addresses and not any(self.flights.values()):
+            raise RunError(f"{self.schedule.pending} stage runs wait for each other")
+
+    def _line(self, address: str) -> deque[_Flight]:
+        return self.flights.setdefault(address, deque())
+
+    def _send(self, address: str, bundle: Bundle | None) -> None:
+        if bundle is None:
+            return
+        tasks = tuple(self._task(run) for run in bundle.runs)
+        self.jobs += 1
+        job = Job(str(self.store.root.resolve()), self.table, tasks)
+        future = self.pool.submit(address, job, f"demflow-{os.getpid()}-{self.jobs}")
+        flight = _Flight(bundle, future, time.monotonic())
+        self._line(address).append(flight)
+        future.add_done_callback(lambda _: self.events.put((address, flight)))
+
+    def _task(self, run: int) -> Task:
+        entry, stage = self.plan.runs[run], self.plan.stage_of(run)
+        scene = self.scene_of(entry.case)
+        reads = {name: read(scene) for name, read in stage.reads.items()}
+        parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
+        return Task(run, entry.id, stage.name, reads, parents)
+
+    def _take_in(self, address: str, flight: _Flight) -> None:
+        line = self._line(address)
+        if flight not in line:
+            return  # it was settled when its worker died
+        if flight.future.status == "finished":
+            line.remove(flight)
+            if line:
+                line[0].begin = time.monotonic()
+            self._settle(flight, flight.future.result())
+            return
+        error = None if flight.future.cancelled() else flight.future.exception()
+        if error is None or isinstance(error, KilledWorker):
+            self._bury(address)
+        elif isinstance(error, OSError):
+            raise RunError(f"the store cannot be used by a worker: {error}") from error
+        else:
+            raise RunError(f"a worker broke: {type(error).__name__}: {error}") from error
+
+    def _settle(self, flight: _Flight, outcomes: list[Outcome]) -> None:
+        for outcome in outcomes:
+            if outcome.lost is not None:
+                self._lost(outcome)
+            elif outcome.status is Status.DONE:
+                self.report.computed += 1
+                self.schedule.done(outcome.run, outcome.seconds, outcome.stored, outcome.memory)
+                self.tally.finish(outcome.run, good=True)
+            else:
+                self._fail(outcome.run)
+        self.schedule.again(flight.bundle.runs)
+
+    def _fail(self, run: int) -> None:
+        self.report.failed += 1
+        for lost in self.schedule.failed(run):
+            self.tally.finish(lost, good=False)
+
+    def _convict(self, run: int, status: Status, message: str) -> None:
+        """Fail a run that cannot speak for itself."""
+        stage = self.plan.stage_of(run)
+        meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
+        meta |= {"status": int(status), "message": message}
+        meta |= {"limits": {"time": self.limits.time, "memory": self.limits.memory}}
+        self.store.put_failure(self.plan.runs[run].id, meta)
+        self._fail(run)
+
+    def _lost(self, outcome: Outcome) -> None:
+        """A parent's product turned out missing or damaged."""
+        parents = [p for p in self.plan.runs[outcome.run].parents if p >= 0]
+        parent = next(p for p in parents if self.plan.runs[p].id == outcome.lost)
+        if self.schedule.is_done(parent):
+            self.losses[parent] = self.losses.get(parent, 0) + 1
+            if self.losses[parent] > LOST_PRODUCTS:
+                raise RunError(
+                    f"{outcome.message}: again and again; the disk does not keep what is written"
+                )
+            self.report.damaged.append(outcome.message)
+            self.schedule.lost(parent)
+            self.tally.reopen(parent)
+
+    def _bury(self, address: str, verdict: tuple[Status, str] | None = None) -> None:
+        """A worker is dead, or was ended with a verdict on what it was doing."""
+        self.dead.add(address)
+        self.report.deaths += 1
+        line = self.flights.pop(address, deque())
+        for flight in line:
+            for run in flight.bundle.runs:
+                if self.store.has(self.plan.runs[run].id) and not self.schedule.is_done(run):
+                    self.report.computed += 1
+                    self.schedule.done(run)
+                    self.tally.finish(run, good=True)
+        if line:
+            bundle = line[0].bundle
+            if verdict and len(bundle.runs) == 1:
+                self._convict(bundle.runs[0], *verdict)
+            elif (guilty := self.schedule.died(bundle)) is not None:
+                self._convict(
+                    guilty,
+                    Status.WORKER_DIED,
+                    "its worker process died, also with nothing else on it; "
+                    "most often memory ran out: try fewer grains or fewer workers",
+                )
+        for flight in list(line)[1:]:
+            self.schedule.again(flight.bundle.runs)
+        for flight in line:
+            flight.future.cancel()
+
+    def _look(self) -> None:
+        """End what takes too much, and find workers that went without a word."""
+        now = time.monotonic()
+        addresses = self.pool.addresses()
+        for address, line in list(self.flights.items()):
+            if not line:
+                continue
+            if address not in addresses:
+                self._bury(address)
+            elif verdict := self._excess(address, now - line[0].begin):
+                self._bury(address, verdict)
+                self.pool.kill(address)
+        if now - self.alive > LOST_FOR_GOOD:
+            raise RunError(f"no worker for {LOST_FOR_GOOD:g} s; they may not be able to start")
+
+    def _excess(self, address: str, seconds: float) -> tuple[Status, str] | None:
+        time_limit, memory_limit = self.limits.time, self.limits.memory
+        if time_limit is not None and seconds > time_limit:
+            return Status.TIMED_OUT, (
+                f"not done after {time_limit:g} s, the study's limits.time; "
+                "raise it, or make the case smaller"
+            )
+        if memory_limit is not None and self.pool.memory(address) > memory_limit:
+            return Status.OUT_OF_MEMORY, (
+                f"more than {memory_limit / 1e9:.3g} GB, the study's limits.memory; "
+                "raise it, or make the case smaller"
+            )
+        return None
+
+    def _show(self) -> None:
+        if self.progress:
+            workers = len(self.pool.addresses())
+            tally, left = self.tally, self.schedule.seconds_left(workers)
+            self.progress(Progress(len(self.plan.cases), tally.done, tally.failed, left))
+
+
+class _Pool(Protocol):
+    """Workers, wherever they are."""
+
+    def addresses(self) -> set[str]:
+        """Workers that can be sent a job."""
+
+    def submit(self, address: str, job: Job, key: str) -> Future:
+        """Send a job to a worker."""
+
+    def kill(self, address: str) -> None:
+        """End a worker, whatever it is doing; another takes its place."""
+
+    def memory(self, address: str) -> float:
+        """Resident memory of a worker in bytes, 0 where it cannot be seen."""
+
+    def close(self) -> None:
+        """Leave no process and no connection behind."""
+
+
+class _Local:
+    """Worker processes of this machine, listening on the loopback alone."""
+
+    def __init__(self, workers: int):
+        self._config = dask.config.set(
+            {
+                # a death is ours to judge: Dask must neither retry nor blame
+                "distributed.scheduler.allowed-failures": 0,
+                "distributed.worker.multiprocessing-method": "spawn",
+                "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+                "distributed.comm.timeouts.connect": "30s",
+            }
+        )
+        try:
+            with _signals_kept_for_later():
+                self.cluster = LocalCluster(
+                    n_workers=workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    dashboard_address="127.0.0.1:0",
+                    memory_limit=0,  # watched here, so that it can be said who took it
+                    silence_logs=logging.CRITICAL,
+                )
+                self.client = Client(self.cluster, set_as_default=False)
+        except BaseException as error:
+            self.close()
+            if isinstance(error, RuntimeError):
+                raise RunError(
+                    "the worker processes did not start; a script has to call sweep.run below "
+                    "`if __name__ == '__main__':`"
+                ) from error
+            raise
+
+    def addresses(self) -> set[str]:
+        """Workers that can be sent a job."""
+        return {a for nanny in self._nannies() if (a := nanny.worker_address) is not None}
+
+    def submit(self, address: str, job: Job, key: str) -> Future:
+        """Send a job to a worker."""
+        return _submit(self.client, address, job, key)
+
+    def kill(self, address: str) -> None:
+        """End a worker process at once; its nanny starts another."""
+        for nanny in self._nannies():
+            if nanny.worker_address == address and nanny.pid:
+                _kill(nanny.pid)
+
+    def memory(self, address: str) -> float:
+        """Resident memory of a worker process, bytes."""
+        for nanny in self._nannies():
+            if nanny.worker_address == address and nanny.pid:
+                with suppress(psutil.Error):
+                    return float(psutil.Process(nanny.pid).memory_info().rss)
+        return 0.0
+
+    def close(self) -> None:
+        """End all processes: those that are busy without waiting for their work."""
+        nannies = self._nannies() if hasattr(self, "cluster") else []
+        closing = threading.Thread(target=self._close_politely, daemon=True)
+        closing.start()
+        for patience in (1.0, 2.0, 4.0, 8.0):
+            closing.join(patience)
+            if not closing.is_alive():
+                break
+            # the nannies know by now that we are closing, and start no others
+            for nanny in nannies:
+                if nanny.pid:
+                    _kill(nanny.pid)
+        self._config.__exit__(None, None, None)
+
+    def _close_politely(self) -> None:
+        # an interrupted start may have left only the first of them
+        if hasattr(self, "client"):
+            self.client.close(timeout=5)
+        if hasattr(self, "cluster"):
+            self.cluster.close(timeout=20)
+
+    def _nannies(self) -> list[Any]:
+        return list(self.cluster.workers.values())
+
+
+class _Remote:
+    """Workers of a Dask cluster that runs already."""
+
+    def __init__(self, scheduler: str):
+        try:
+            self.client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise RunError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+        self._known: set[str] = set()
+        self._asked = -float("inf")
+
+    def addresses(self) -> set[str]:
+        """Workers that can be sent a job; asked for once a second."""
+        if time.monotonic() - self._asked > 1.0:
+            self._known = set(self.client.nthreads())
+            self._asked = time.monotonic()
+        return self._known
+
+    def submit(self, address: str, job: Job, key: str) -> Future:
+        """Send a job to a worker."""
+        return _submit(self.client, address, job, key)
+
+    def kill(self, address: str) -> None:
+        """Have the worker's nanny start it anew."""
+        self.client.restart_workers([address], timeout=30, raise_for_error=False)
+
+    def memory(self, address: str) -> float:
+        """Not seen from here."""
+        return 0.0
+
+    def close(self) -> None:
+        """Leave the cluster as it was found."""
+        self.client.close(timeout=10)
+
+
+def _submit(client: Client, address: str, job: Job, key: str) -> Future:
+    return client.submit(
+        run_job, job, key=key, workers=[address], allow_other_workers=False, pure=False, retries=0
+    )
+
+
+def _kill(pid: int) -> None:
+    with suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
+
+
+@contextmanager
+def _signals_kept_for_later() -> Iterator[None]:
+    """Start processes that do not hear Ctrl-C, and hear it oneself only once they stand.
+
+    A terminal sends it to every process in the foreground; it is for this one, which
+    then ends the others. Threads and processes started here inherit the mask, also those
+    that a nanny starts later.
+    """
+    # multiprocessing's tracker unblocks the signal in the thread that starts it: start it now
+    resource_tracker.ensure_running()
+    caught: list[int] = []
+    handlers = {}
+    if threading.current_thread() is threading.main_thread():
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handlers[number] = signal.signal(number, lambda n, _: caught.append(n))
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for heard in caught:
+            signal.raise_signal(heard)
+
+
+@contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Let no second Ctrl-C stop what cleans up after the first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = {s: signal.signal(s, signal.SIG_IGN) for s in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

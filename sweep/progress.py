@@ -1,0 +1,100 @@
+"""How far a run is: the numbers, and a line on a terminal or in a log."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+from typing import NamedTuple, TextIO
+
+
+class Progress(NamedTuple):
+    """How far a run is, in cases."""
+
+    cases: int
+    done: int
+    failed: int
+    seconds_left: float | None  # None while nothing is known of the stages to come
+
+    @property
+    def left(self) -> int:
+        """Cases that are neither done nor failed."""
+        return self.cases - self.done - self.failed
+
+
+class ProgressLine:
+    """Writes `Progress` to a stream: in place on a terminal, now and then elsewhere.
+
+    Colours are used on a terminal only, and not where NO_COLOR is set.
+    """
+
+    def __init__(self, stream: TextIO | None = None, every: float = 15.0):
+        self.stream = sys.stderr if stream is None else stream
+        self.in_place = self.stream.isatty()
+        self.coloured = self.in_place and not os.environ.get("NO_COLOR")
+        self.every = 0.1 if self.in_place else every
+        self._last: float | None = None
+        self._text = ""
+        self._width = 0
+
+    def __call__(self, progress: Progress) -> None:
+        """Show the state, unless the last one was shown a moment ago."""
+        now = time.monotonic()
+        early = self._last is not None and now - self._last < self.every
+        text = line(progress)
+        if text == self._text or (early and progress.left):
+            return
+        self._last, self._text = now, text
+        if not self.in_place:
+            print(text, file=self.stream, flush=True)
+            return
+        padding = " " * max(self._width - len(text), 0)
+        self._width = len(text)
+        if self.coloured and progress.failed:
+            text = text.replace(
+                f"{progress.failed} failed", f"\033[31m{progress.failed} failed\033[0m"
+            )
+        print(f"\r{text}{padding}", end="", file=self.stream, flush=True)
+
+    def close(self) -> None:
+        """End the line that was written in place."""
+        if self.in_place and self._width:
+            print(file=self.stream, flush=True)
+            self._width = 0
+
+
+def line(progress: Progress) -> str:
+    """Return one line of text: done, failed, left, time to go."""
+    to_go = ""
+    if progress.left:
+        known = progress.seconds_left is not None
+        to_go = (
+            f", {duration(progress.seconds_left)} to go" if known else ", time to go unknown yet"
+        )
+    return (
+        f"{progress.done} of {progress.cases} cases done, {progress.failed} failed, "
+        f"{progress.left} left{to_go}"
+    )
+
+
+def duration(seconds: float | None) -> str:
+    """Return a time span as people say it: 30 ms, 8.0 s, 3 min, 2 h 05 min."""
+    if seconds is None:
+        return "unknown time"
+    if 0 < seconds < 0.0995:
+        return f"{1000 * seconds:.2g} ms"
+    if seconds < 9.95:
+        return f"{seconds:.1f} s"
+    if seconds < 99.5:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def size(count: float) -> str:
+    """Return a number of bytes as people say it: 3.1 MB."""
+    for unit in ("B", "kB", "MB", "GB"):
+        if count < 999.5 or unit == "GB":
+            return f"{count:.0f} {unit}" if unit == "B" or count >= 99.5 else f"{count:.1f} {unit}"
+        count /= 1000
+    raise AssertionError("unreachable")

@@ -1,0 +1,289 @@
+"""The store: one file per product, under its identity, data only.
+
+A product is there or it is not: a file is written aside in its folder, flushed, renamed
+under its final name, and the folder is flushed. It holds
+
+    8 bytes    "demflow1"
+    8 bytes    length of the header, little-endian
+    32 bytes   SHA-256 of the header
+    header     JSON: arrays (name, dtype, shape, offset), meta, SHA-256 of the payload
+    payload    the arrays, little-endian, C order, each on a multiple of 64 bytes
+
+so that every flipped bit and every lost byte is found when it is read. Arrays are not
+compressed: a stage's floats shrink by 5 % in ten times the time that writing them takes.
+A run that failed leaves a record of the same form without arrays, so that a law's error
+is not met again at every run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+MAGIC = b"demflow1"
+_PREFIX = struct.Struct("<8sQ32s")
+_ALIGNMENT = 64
+_KINDS = "biufcUS"  # numbers and text: no objects, nothing that would be executed
+_HEX = set("0123456789abcdef")
+
+
+class DamagedError(ValueError):
+    """A stored file whose content is not what was written."""
+
+
+class MissingError(KeyError):
+    """A product that is not in the store."""
+
+
+class StoreError(RuntimeError):
+    """A folder that cannot serve as a store; the text says why."""
+
+
+class Stored(NamedTuple):
+    """What a file of the store holds."""
+
+    arrays: dict[str, np.ndarray]
+    meta: dict[str, Any]
+
+
+def pack(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a file that holds named arrays and a JSON-able description.
+
+    Raises TypeError for an array that is not of numbers, booleans or text.
+    """
+    entries, chunks, offset = [], [], 0
+    for name, array in arrays.items():
+        plain = canonical(array)
+        padding = -offset % _ALIGNMENT
+        offset += padding
+        entries.append([name, plain.dtype.str, list(plain.shape), offset])
+        chunks += [bytes(padding), plain.tobytes()]
+        offset += plain.nbytes
+    payload = b"".join(chunks)
+    header = json.dumps(
+        {"arrays": entries, "meta": dict(meta), "payload": hashlib.sha256(payload).hexdigest()},
+        separators=(",", ":"),
+    ).encode()
+    prefix = _PREFIX.pack(MAGIC, len(header), hashlib.sha256(header).digest())
+    return prefix + header + payload
+
+
+def unpack(content: bytes) -> Stored:
+    """Return what `pack` was given. Raises DamagedError where a byte differs."""
+    header, start = _header(content)
+    payload = memoryview(content)[start:]
+    if hashlib.sha256(payload).hexdigest() != header["payload"]:
+        raise DamagedError("the data differ from what was written")
+    arrays = {}
+    for name, dtype, shape, offset in header["arrays"]:
+        if dtype[1:2] not in _KINDS:
+            raise DamagedError(f"the array {name} is of {dtype}, which is no plain data")
+        kind = np.dtype(dtype)
+        count = int(np.prod(shape, dtype=np.int64))
+        # copied, hence aligned and writable, as it came from the stage: kernels compile
+        # anew for any other layout
+        flat = np.frombuffer(payload, kind, count, offset) if count else np.empty(0, kind)
+        arrays[name] = flat.reshape(shape).copy()
+    return Stored(arrays, header["meta"])
+
+
+def canonical(array: Any) -> np.ndarray:
+    """Return the array as the store gives it back: own memory, C order, little-endian."""
+    plain = np.asarray(array)
+    if plain.dtype.kind not in _KINDS:
+        raise TypeError(f"an array of {plain.dtype} cannot be stored")
+    return np.array(plain, dtype=plain.dtype.newbyteorder("<"), order="C", copy=True)
+
+
+@dataclass(frozen=True)
+class Store:
+    """The products below a folder. Reading needs no lock; writing is atomic."""
+
+    root: Path
+
+    @classmethod
+    def open(cls, root: Path, *, create: bool = True) -> Store:
+        """Return the store at `root`; where nothing is there yet, make it or take it as empty.
+
+        Raises StoreError where the folder holds something else or a newer store.
+        """
+        root = Path(root)
+        mark = root / "FORMAT"
+        try:
+            if create:
+                root.mkdir(parents=True, exist_ok=True)
+            if not mark.exists():
+                if root.exists() and any(entry.suffix != ".partial" for entry in root.iterdir()):
+                    raise StoreError(f"{root} is not empty and holds no store of demflow")
+                if create:
+                    write_durably(mark, MAGIC + b"\n")
+            elif mark.read_bytes().strip() != MAGIC:
+                raise StoreError(
+                    f"{root} was made by another version of demflow "
+                    f"({mark.read_bytes()[:40].decode(errors='replace').strip()}); "
+                    "use that version, or another --results folder"
+                )
+        except OSError as error:
+            raise StoreError(f"{root} cannot be used: {error.strerror or error}") from error
+        return cls(root)
+
+    def path(self, identity: str, kind: str = "product") -> Path:
+        """Where a product (or, for kind "failed", the record of a failure) lies."""
+        if len(identity) != 64 or not _HEX.issuperset(identity):
+            raise ValueError(f"{identity!r} is no identity of a product")
+        return self.root / identity[:2] / f"{identity}.{kind}"
+
+    def has(self, identity: str) -> bool:
+        """Whether the product is there (whole or not: reading it tells)."""
+        return os.path.exists(self.path(identity))
+
+    def put(self, identity: str, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> int:
+        """Store a product durably and return its size in bytes. Raises OSError."""
+        content = pack(arrays, {**meta, "id": identity})
+        write_durably(self.path(identity), content)
+        self.forget_failure(identity)
+        return len(content)
+
+    def get(self, identity: str) -> Stored:
+        """Return a product, its hash checked.
+
+        Raises MissingError where it is not there, DamagedError where it is not what was
+        written; the damaged file is set aside then, so that the product counts as missing.
+        """
+        path = self.path(identity)
+        try:
+            return _of(identity, unpack(path.read_bytes()))
+        except FileNotFoundError:
+            raise MissingError(identity) from None
+        except DamagedError as error:
+            self.set_aside(path)
+            raise DamagedError(f"{path}: {error}") from None
+
+    def meta(self, identity: str) -> dict[str, Any]:
+        """Return a product's description alone. Raises as `get` does."""
+        path = self.path(identity)
+        try:
+            return _read_meta(path)
+        except FileNotFoundError:
+            raise MissingError(identity) from None
+        except DamagedError as error:
+            self.set_aside(path)
+            raise DamagedError(f"{path}: {error}") from None
+
+    def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
+        """Record that a run failed, and how; a product of an earlier try goes."""
+        write_durably(self.path(identity, "failed"), pack({}, {**meta, "id": identity}))
+        self.path(identity).unlink(missing_ok=True)
+
+    def failure(self, identity: str) -> dict[str, Any] | None:
+        """Return the record of a failed run, None where there is none (or it is damaged)."""
+        path = self.path(identity, "failed")
+        try:
+            return _read_meta(path)
+        except FileNotFoundError:
+            return None
+        except DamagedError:
+            self.set_aside(path)
+            return None
+
+    def forget_failure(self, identity: str) -> None:
+        """Remove the record of a failed run, so that it runs again."""
+        self.path(identity, "failed").unlink(missing_ok=True)
+
+    def set_aside(self, path: Path) -> None:
+        """Rename a damaged file out of the way; it stays for whoever wants to look."""
+        with suppress(FileNotFoundError):
+            os.replace(path, path.with_name(path.name + ".damaged"))
+
+    def files(self) -> Iterator[Path]:
+        """Every product and every record of a failure."""
+        for folder in sorted(self.root.glob("[0-9a-f][0-9a-f]")):
+            yield from sorted(p for p in folder.iterdir() if p.suffix in (".product", ".failed"))
+
+    def verify(self, *, set_aside: bool = True) -> Iterator[tuple[Path, str | None]]:
+        """Re-hash every file: its path, and what is wrong with it or None.
+
+        Damaged files are set aside if wished, so that the next run computes them again.
+        """
+        for path in self.files():
+            try:
+                _of(path.stem, unpack(path.read_bytes()))
+            except DamagedError as error:
+                if set_aside:
+                    self.set_aside(path)
+                yield path, str(error)
+            else:
+                yield path, None
+
+    def remove_partial(self) -> int:
+        """Remove what interrupted writers left; return how many. Only under the folder's lock."""
+        count = 0
+        for path in self.root.glob("**/*.partial"):
+            path.unlink(missing_ok=True)
+            count += 1
+        return count
+
+
+def write_durably(path: Path, content: bytes) -> None:
+    """Write a file so that, whatever happens, it is there whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    try:
+        with open(aside, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        rename_durably(aside, path)
+    except BaseException:
+        with suppress(OSError):
+            aside.unlink(missing_ok=True)
+        raise
+
+
+def rename_durably(aside: Path, path: Path) -> None:
+    """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
+    os.replace(aside, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _header(content: bytes) -> tuple[dict[str, Any], int]:
+    if len(content) < _PREFIX.size:
+        raise DamagedError("the file is cut short")
+    magic, length, digest = _PREFIX.unpack_from(content)
+    if magic != MAGIC:
+        raise DamagedError("the file does not begin as a product of this version does")
+    start = _PREFIX.size + length
+    header = content[_PREFIX.size : start]
+    if len(header) != length or hashlib.sha256(header).digest() != digest:
+        raise DamagedError("the header differs from what was written")
+    return json.loads(header), start
+
+
+def _read_meta(path: Path) -> dict[str, Any]:
+    with open(path, "rb") as file:
+        content = file.read(_PREFIX.size)
+        if len(content) == _PREFIX.size:
+            length = _PREFIX.unpack(content)[1]
+            # a damaged length must not ask for all memory
+            content += file.read(min(length, os.fstat(file.fileno()).st_size))
+    header, _ = _header(content)
+    return _of(path.stem, Stored({}, header["meta"])).meta
+
+
+def _of(identity: str, stored: Stored) -> Stored:
+    if stored.meta.get("id") != identity:
+        raise DamagedError("the file lies under a name that is not its own")
+    return stored

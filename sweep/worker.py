@@ -1,0 +1,211 @@
+"""What happens inside a worker process: take the parents, run the stage, store the product.
+
+A job comes as plain data and the answer goes back as plain data of a few hundred bytes;
+products never travel, they lie in the store. Whatever a stage does, the answer is an
+`Outcome`; only a store that cannot be written is an error of the whole run.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import platform
+import resource
+import socket
+import sys
+import time
+import traceback
+from collections import OrderedDict
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from model.outcome import ModelError
+from model.parameters import SceneError
+from sweep.stages import Status, stage_table
+from sweep.store import DamagedError, MissingError, Store, canonical
+from sweep.versions import versions
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from model.stages import Stage
+
+CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
+
+
+class Task(NamedTuple):
+    """One stage run, with all that it reads."""
+
+    run: int  # index in the plan
+    id: str
+    stage: str
+    reads: dict[str, Any]  # keyword arguments: the parts of the scene
+    parents: tuple[str | None, ...]  # identities of their products
+
+
+@dataclass(frozen=True)
+class Job:
+    """Stage runs for one worker, in order."""
+
+    store: str  # where the products lie
+    table: str  # where the table of stages lies
+    tasks: tuple[Task, ...]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a stage run ended. `lost` names a parent whose product is missing or damaged."""
+
+    run: int
+    status: Status
+    message: str = ""
+    seconds: float = 0.0
+    stored: int = 0  # bytes
+    memory: int = 0  # largest resident memory of this process so far, bytes
+    lost: str | None = field(default=None, kw_only=True)
+
+
+def run_job(job: Job) -> list[Outcome]:
+    """Run the tasks of a job in turn; return how each of them ended.
+
+    A task whose parent failed in the same job is left out of the answer. Raises OSError
+    where the store cannot be written.
+    """
+    stages = {stage.name: stage for stage in stage_table(job.table)}
+    guard_kernel_cache()
+    store = Store(Path(job.store))
+    outcomes: list[Outcome] = []
+    failed: set[str] = set()
+    for task in job.tasks:
+        if failed.intersection(filter(None, task.parents)):
+            failed.add(task.id)
+            continue
+        outcome = _run(task, stages, store)
+        if outcome.status is not Status.DONE:
+            failed.add(task.id)
+        outcomes.append(outcome)
+    return outcomes
+
+
+def _run(task: Task, stages: Mapping[str, Stage], store: Store) -> Outcome:
+    stage = stages[task.stage]
+    parents: list[Any] = []
+    for name, identity in zip(stage.parents, task.parents, strict=True):
+        if identity is None:
+            parents.append(None)
+            continue
+        try:
+            parents.append(build(stages[name].product, _load(store, identity)))
+        except (MissingError, DamagedError) as error:
+            return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
+    begin = time.perf_counter()
+    meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
+    try:
+        product = stage.run(*parents, **task.reads)
+        arrays = {name: canonical(array) for name, array in named(product).items()}
+    except MemoryError:
+        status, message = Status.OUT_OF_MEMORY, "no memory left; try fewer grains or fewer workers"
+    except (ModelError, SceneError) as error:
+        status, message = Status.FAILED, str(error)
+    except Exception as error:  # whatever a stage does must cost this run only
+        status = Status.FAILED
+        message = f"{type(error).__name__}: {error} ({_place(error)})"
+        meta["traceback"] = traceback.format_exc()
+    else:
+        status, message = Status.DONE, ""
+    seconds = time.perf_counter() - begin
+    meta |= {"seconds": seconds, "machine": platform.machine(), "host": socket.gethostname()}
+    meta |= {"worker": os.getpid(), "versions": versions()}
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
+    if status is not Status.DONE:
+        store.put_failure(task.id, {**meta, "status": int(status), "message": message})
+        return Outcome(task.run, status, message, seconds, memory=memory)
+    size = store.put(task.id, arrays, meta)
+    _memory.put(task.id, arrays)
+    return Outcome(task.run, status, message, seconds, size, memory)
+
+
+_RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # what getrusage counts in
+
+
+def named(product: Any) -> Mapping[str, np.ndarray]:
+    """Return the arrays of a product by their names, be it a NamedTuple or a dict."""
+    return product if isinstance(product, Mapping) else product._asdict()
+
+
+def build(product: type, arrays: Mapping[str, np.ndarray]) -> Any:
+    """Return a product of the given type from its arrays."""
+    return dict(arrays) if issubclass(product, dict) else product(**arrays)
+
+
+def guard_kernel_cache() -> None:
+    """Let the processes of this machine take turns at the files of compiled kernels.
+
+    Numba reads its index, chooses a file name and writes both in separate steps. Two
+    processes in the middle of that can leave an index that names the other's code, so
+    both steps are done under a lock on the folder. Compiling itself is not.
+    """
+    caching = sys.modules.get("numba.core.caching")
+    if caching is None or hasattr(caching.IndexDataCacheFile, "guarded"):
+        return  # a table that has not imported Numba compiles nothing
+    Files = caching.IndexDataCacheFile
+
+    def locked(method: Any) -> Any:
+        def under_lock(self: Any, *args: Any) -> Any:
+            os.makedirs(self._cache_path, exist_ok=True)
+            with open(os.path.join(self._cache_path, ".lock"), "w") as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
+                return method(self, *args)
+
+        return under_lock
+
+    Files.load, Files.save, Files.guarded = locked(Files.load), locked(Files.save), True
+
+
+class _Memory:
+    """The products that this process used last, up to a number of bytes."""
+
+    def __init__(self, limit: int):
+        self.limit = limit
+        self.size = 0
+        self.products: OrderedDict[str, Mapping[str, np.ndarray]] = OrderedDict()
+
+    def get(self, identity: str) -> Mapping[str, np.ndarray] | None:
+        """Return a product that is kept, None otherwise."""
+        if identity not in self.products:
+            return None
+        self.products.move_to_end(identity)
+        return self.products[identity]
+
+    def put(self, identity: str, arrays: Mapping[str, np.ndarray]) -> None:
+        """Keep a product, and drop those that were not used for longest."""
+        size = _bytes(arrays)
+        if identity in self.products or size > self.limit:
+            return
+        self.products[identity] = arrays
+        self.size += size
+        while self.size > self.limit:
+            self.size -= _bytes(self.products.popitem(last=False)[1])
+
+
+_memory = _Memory(CACHE_BYTES)
+
+
+def _load(store: Store, identity: str) -> Mapping[str, np.ndarray]:
+    arrays = _memory.get(identity)
+    if arrays is None:
+        arrays = store.get(identity).arrays
+        _memory.put(identity, arrays)
+    return arrays
+
+
+def _bytes(arrays: Mapping[str, np.ndarray]) -> int:
+    return sum(array.nbytes for array in arrays.values())
+
+
+def _place(error: BaseException) -> str:
+    """File and line in which an unforeseen error arose."""
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{Path(frame.filename).name}, line {frame.lineno}"

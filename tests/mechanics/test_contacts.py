@@ -1,0 +1,146 @@
+"""Two or three discs: what the contact and motion kernels must keep, and closed forms."""
+
+import numpy as np
+import pytest
+
+from model.mechanics.bonds import no_bonds
+from model.mechanics.contacts import ContactLaw, contact_forces
+from model.mechanics.equilibrium import OUT_OF_STEPS, Specimen, Stop
+from model.mechanics.grains import Grains, at_rest
+from model.mechanics.laws import local_damping, normal_force, shear_force, slip
+from model.mechanics.neighbours import find_pairs, no_pairs
+from model.mechanics.servo import STANDING
+
+NEVER = Stop(ratio=0.0, stress=-1.0)
+FAR = np.array([-1e3, 1e3, -1e3, 1e3])  # walls that nothing reaches
+
+
+def discs(x, y, *, velocity, spin=0.0, radius=1.0, mass=1.0) -> Grains:
+    ones = np.ones(len(x))
+    grains = at_rest(np.array(x, float), np.array(y, float), radius * ones, mass * ones)
+    grains.vx[:], grains.vy[:] = np.array(velocity, float).T
+    grains.spin[:] = spin
+    return grains
+
+
+def fly(grains: Grains, *, friction: float, dt: float, time: float, box=FAR) -> Specimen:
+    """Undamped motion; friction acts, nothing else takes energy."""
+    law = ContactLaw(1.0, 0.4, friction)
+    specimen = Specimen(grains, box.copy(), law, dt=dt, skin=0.3)
+    assert (
+        specimen.relax(STANDING, NEVER, damping=0.0, steps=round(time / dt)) == OUT_OF_STEPS
+    )
+    return specimen
+
+
+def kinetic_energy(grains: Grains) -> float:
+    mass = 1.0 / grains.inverse_mass
+    rotation = (grains.radius * grains.spin) ** 2  # I = m r²
+    return float(np.sum(0.5 * mass * (grains.vx**2 + grains.vy**2 + rotation)))
+
+
+def momenta(grains: Grains) -> np.ndarray:
+    mass = 1.0 / grains.inverse_mass
+    angular = mass * (
+        grains.x * grains.vy - grains.y * grains.vx + grains.radius**2 * grains.spin
+    )
+    return np.array([np.sum(mass * grains.vx), np.sum(mass * grains.vy), np.sum(angular)])
+
+
+def head_on(dt: float) -> tuple[float, Grains]:
+    """Contact time and end state of a collision whose first touch falls on a step."""
+    speed, wait, end = 0.01, 1.0, 8.0
+    grains = discs(
+        [-1.0 - speed * wait, 1.0 + speed * wait], [0, 0], velocity=[(speed, 0), (-speed, 0)]
+    )
+    fly(grains, friction=0.5, dt=dt, time=end)
+    parting = grains.vx[1] - grains.vx[0]
+    gap = grains.x[1] - grains.x[0] - 2.0
+    return end - wait - gap / parting, grains
+
+
+def test_head_on_collision_has_the_closed_form() -> None:
+    duration, grains = head_on(0.01)
+    assert duration == pytest.approx(np.pi * np.sqrt(0.5), rel=1e-4)  # π √(m_eff / k_n)
+    assert grains.vx[1] == pytest.approx(0.01, rel=1e-4)  # restitution 1
+    assert kinetic_energy(grains) == pytest.approx(1e-4, rel=2e-4)
+    assert np.abs(momenta(grains)).max() < 1e-16
+    assert grains.spin[0] == grains.spin[1] == 0.0
+
+
+def stuck(dt: float, time: float) -> np.ndarray:
+    """Centres of two discs that touch at first, in an oblique collision with holding friction."""
+    direction = np.array([np.cos(0.3), np.sin(0.3)])
+    across = np.array([-direction[1], direction[0]])
+    centres = (1.0 - 1e-14) * np.array([-direction, direction])
+    velocity = 0.1 * np.array([direction + across, -direction])
+    grains = discs(centres[:, 0], centres[:, 1], velocity=velocity)
+    fly(grains, friction=100.0, dt=dt, time=time)
+    return np.array([grains.x, grains.y])
+
+
+def test_motion_is_second_order_in_the_step() -> None:
+    fine, finer = stuck(0.002, 1.6), stuck(0.001, 1.6)
+    exact = finer + (finer - fine) / 3.0
+    error = [np.abs(stuck(dt, 1.6) - exact).max() for dt in (0.1, 0.05, 0.025, 0.0125)]
+    order = np.log2(np.array(error[:-1]) / error[1:])
+    np.testing.assert_allclose(order, 2.0, atol=0.02)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3, 10.0])
+def test_free_discs_keep_momentum_and_angular_momentum(friction: float) -> None:
+    rng = np.random.Generator(np.random.PCG64(5))
+    x, y = (v.ravel() for v in np.meshgrid(2.05 * np.arange(5), 2.05 * np.arange(5)))
+    grains = discs(x, y, velocity=0.05 * rng.normal(size=(25, 2)), spin=0.1 * rng.normal(size=25))
+    before, energy = momenta(grains), kinetic_energy(grains)
+    specimen = fly(grains, friction=friction, dt=0.2, time=100.0)
+    assert specimen.rebuilds > 0  # forces were handed from list to list
+    np.testing.assert_allclose(momenta(grains), before, atol=1e-13)
+    if friction == 0.3:
+        assert kinetic_energy(grains) < 0.97 * energy  # slip takes energy
+    if friction == 0.0:
+        assert kinetic_energy(grains) == pytest.approx(energy, rel=0.02)
+
+
+def test_action_equals_reaction_with_walls() -> None:
+    rng = np.random.Generator(np.random.PCG64(2))
+    x, y = rng.uniform(-4, 4, (2, 30))
+    grains = discs(x, y, velocity=rng.normal(size=(30, 2)), spin=rng.normal(size=30))
+    box = np.array([-4.5, 4.4, -4.3, 4.6])
+    pairs = find_pairs(grains, 0.2, no_pairs(30))
+    law = ContactLaw(1.0, 0.4, 0.5)
+    sums = contact_forces(grains, pairs, no_bonds(), law, box, 0.01, 0.0, 0.0)
+    assert sums.left_contacts > 0
+    assert sums.top_contacts > 0
+    assert grains.fx.sum() == pytest.approx(sums.left - sums.right, abs=1e-12)
+    assert grains.fy.sum() == pytest.approx(sums.bottom - sums.top, abs=1e-12)
+    # virial of all contacts = Σ x · F of the wall forces alone, by summation by parts
+    inner = np.sum(grains.x * grains.fx)
+    outer = -sums.left * box[0] + sums.right * box[1]
+    assert sums.virial_xx == pytest.approx(outer + inner, rel=1e-12)
+
+
+def test_disc_on_a_plane_slides_at_the_friction_limit() -> None:
+    """A disc is drawn along a fixed, very large one with a given overlap."""
+    radius = np.array([1e7, 1.0])
+    overlap, mu, ks = 0.01, 0.5, 0.4
+    grains = at_rest(np.zeros(2), np.array([-1e7, 1.0 - overlap]), radius, np.full(2, np.inf))
+    grains.vx[1] = 1e-4
+    specimen = Specimen(grains, 1e9 * np.array([-1, 1, -1, 1.0]), ContactLaw(1.0, ks, mu), dt=1.0)
+    limit = mu * overlap
+    slide = int(limit / (ks * 1e-4))
+    force = []
+    for _ in range(2 * slide):
+        specimen.relax(STANDING, NEVER, damping=0.0, steps=1)
+        force.append(-specimen.grains.fx[1])
+    force = np.array(force)
+    step = np.arange(1, 2 * slide + 1)
+    np.testing.assert_allclose(force, np.minimum(ks * 1e-4 * step, limit), rtol=1e-5)
+
+
+def test_scalar_laws() -> None:
+    assert normal_force(3.0, 0.5) == 1.5
+    assert shear_force(0.2, 2.0, 0.05) == pytest.approx(0.1)
+    assert [slip(f, 1.0) for f in (-2.0, -0.5, 0.5, 2.0)] == [-1.0, -0.5, 0.5, 1.0]
+    assert local_damping(2.0, 1.0, 0.5) == 1.0  # against the motion
+    assert local_damping(2.0, -1.0, 0.5) == 3.0

@@ -1,0 +1,64 @@
+"""Verlet lists against the search over all pairs."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model.mechanics.grains import along_hilbert_curve, at_rest
+from model.mechanics.neighbours import find_pairs, no_pairs
+
+
+def all_pairs(x, y, radius, skin) -> set[tuple[int, int]]:
+    distance = np.hypot(x[:, None] - x, y[:, None] - y)
+    near = np.triu(distance < radius[:, None] + radius + skin, 1)
+    return set(zip(*(k.tolist() for k in np.nonzero(near)), strict=True))
+
+
+def listed(pairs) -> list[tuple[int, int]]:
+    return [
+        (i, int(pairs.other[k]))
+        for i in range(len(pairs.start) - 1)
+        for k in range(pairs.start[i], pairs.start[i + 1])
+    ]
+
+
+@settings(max_examples=60)
+@given(
+    n=st.integers(1, 60),
+    seed=st.integers(0, 10_000),
+    width=st.floats(1e-3, 100.0),
+    height=st.floats(1e-3, 100.0),
+    ratio=st.floats(1.0, 10.0),
+    skin=st.floats(0.0, 1.0),
+)
+def test_no_pair_is_missed(n, seed, width, height, ratio, skin) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    x, y, radius = rng.uniform(0, width, n), rng.uniform(0, height, n), rng.uniform(1, ratio, n)
+    pairs = find_pairs(at_rest(x, y, radius, np.ones(n)), skin, no_pairs(n))
+    found = listed(pairs)
+    assert found == sorted(set(found))
+    assert set(found) == all_pairs(x, y, radius, skin)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_memory_survives_a_rebuild(seed) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    x, y, radius = *rng.uniform(0, 12, (2, 40)), np.ones(40)
+    old = find_pairs(at_rest(x, y, radius, np.ones(40)), 0.5, no_pairs(40))
+    old.shear[:] = rng.normal(size=len(old.shear))
+    old.bond[:] = np.arange(len(old.bond))
+    before = dict(zip(listed(old), zip(old.shear, old.bond, strict=True), strict=True))
+    moved = at_rest(x + rng.uniform(-1, 1, 40), y, radius, np.ones(40))
+    new = find_pairs(moved, 0.5, old)
+    assert set(listed(new)) != set(before)
+    for pair, shear, bond in zip(listed(new), new.shear, new.bond, strict=True):
+        assert (shear, bond) == before.get(pair, (0.0, -1))
+
+
+def test_hilbert_curve_visits_neighbours_in_turn() -> None:
+    """On a grid of 2^k cells every step of the curve goes to the next cell."""
+    x, y = (v.ravel().astype(float) for v in np.meshgrid(np.arange(16), np.arange(16)))
+    order = along_hilbert_curve(x, y)
+    assert sorted(order) == list(range(256))
+    step = np.hypot(np.diff(x[order]), np.diff(y[order]))
+    np.testing.assert_allclose(step, 1.0)

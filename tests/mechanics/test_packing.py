@@ -1,0 +1,166 @@
+"""Packings: porosity, rest, what is named in the product, small and impossible ones."""
+
+import re
+
+import numpy as np
+import pytest
+
+from model.mechanics.measures import porosity
+from model.mechanics.packing import PRESSURE, mean_square_radius, pack
+from model.outcome import ModelError
+from model.region import Polygon, Rectangle, bounding_box, contains
+from tests.mechanics.rocks import REGIONS, net_forces, packed, wall_forces
+
+
+def covered(x, y, radius, points) -> np.ndarray:
+    """Which points lie in a disc, by looking at every disc."""
+    return np.array([np.any((x - px) ** 2 + (y - py) ** 2 < radius**2) for px, py in points])
+
+
+def test_porosity_of_a_box_counts_cut_discs_by_their_part() -> None:
+    x, y = np.array([0.0, 1.0, 0.9, -0.4, 3.0]), np.array([0.0, 0.1, 1.05, -0.8, 0.0])
+    radius = np.array([0.45, 0.5, 0.4, 0.3, 0.5])  # inside, over an edge, over a corner, …
+    box = np.array([-0.5, 1.0, -0.9, 1.0])
+    side = (np.arange(700) + 0.5) / 700
+    px = box[0] + (box[1] - box[0]) * side
+    py = box[2] + (box[3] - box[2]) * side
+    inside = np.zeros((700, 700), bool)
+    for k in range(5):
+        inside |= (px[:, None] - x[k]) ** 2 + (py - y[k]) ** 2 < radius[k] ** 2
+    assert porosity(x, y, radius, box) == pytest.approx(1.0 - inside.mean(), abs=2e-4)
+
+
+@pytest.mark.parametrize("wanted", [0.16, 0.165, 0.18, 0.2])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_wanted_porosity_is_met(wanted: float, seed: int) -> None:
+    rock = packed(wanted, seed=seed)
+    unit = rock.radius.mean()
+    inner = rock.box + 6.0 * unit * np.array([1, -1, 1, -1])
+    rng = np.random.Generator(np.random.PCG64(seed))
+    points = rng.uniform(inner[[0, 2]], inner[[1, 3]], (20_000, 2))
+    found = 1.0 - covered(rock.x, rock.y, rock.radius, points).mean()
+    assert float(rock.porosity) == pytest.approx(wanted, abs=0.005)
+    assert found == pytest.approx(float(rock.porosity), abs=0.009)  # three sigma of the points
+
+
+@pytest.mark.parametrize("wanted", [0.165, 0.19])
+def test_packed_grains_are_in_equilibrium(wanted: float) -> None:
+    rock = packed(wanted)
+    force, torque = net_forces(rock, rock.radius, 1.0)
+    contact = np.hypot(rock.normal_force, rock.shear_force).mean()
+    loaded = np.hypot(*force.T) > 0
+    unbalanced = np.hypot(*force.T)[loaded].mean() / contact
+    assert unbalanced <= 1.1e-3
+    assert unbalanced == pytest.approx(float(rock.unbalanced_ratio), rel=0.1)
+    assert np.hypot(*force.T).max() < 0.05 * contact  # every single grain
+    assert np.abs(torque / rock.radius).mean() < 2e-3 * contact
+    width, height = rock.box[1] - rock.box[0], rock.box[3] - rock.box[2]
+    walls = wall_forces(rock, rock.radius, 1.0).sum(axis=0)
+    stress = walls / np.array([height, height, width, width])
+    np.testing.assert_allclose(stress, PRESSURE, rtol=0.006)
+
+
+def test_contacts_are_all_touching_pairs_in_order() -> None:
+    rock = packed()
+    n = len(rock.x)
+    distance = np.hypot(rock.x[:, None] - rock.x, rock.y[:, None] - rock.y)
+    a, b = np.nonzero(np.triu(rock.radius[:, None] + rock.radius - distance > 0.0, 1))
+    np.testing.assert_array_equal(rock.contact_a, a)
+    np.testing.assert_array_equal(rock.contact_b, b)
+    assert rock.contact_a.dtype == rock.contact_b.dtype == np.int64
+    overlap = (rock.radius[:, None] + rock.radius - distance)[a, b]
+    np.testing.assert_allclose(rock.normal_force, overlap, atol=1e-15)
+    assert overlap.max() < 0.01 * rock.radius.mean()
+    counts = np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
+    counts = counts + np.count_nonzero(wall_forces(rock, rock.radius, 1.0), axis=1)
+    assert int(rock.floaters) == np.count_nonzero(counts < 2)
+    assert float(rock.coordination) == pytest.approx(counts[counts >= 2].mean())
+
+
+def test_radii_are_uniform_between_the_bounds() -> None:
+    radius = np.sort(packed().radius)
+    assert radius[-1] / radius[0] <= 1.66 + 1e-12
+    uniform = np.linspace(1.0, 1.66, len(radius)) * radius.mean() / 1.33
+    assert np.abs(radius - uniform).max() < 0.05 * radius.mean()
+
+
+@pytest.mark.parametrize("region", ["square", "disc", "slab"])
+def test_count_and_margin(region: str) -> None:
+    rock = packed(0.18, region=region)
+    shape = REGIONS[region]
+    inside = np.count_nonzero(contains(shape, np.column_stack((rock.x, rock.y))))
+    assert inside == pytest.approx(400, rel=0.06)
+    margin = (np.array(bounding_box(shape)) - rock.box) * np.array([1, -1, 1, -1])
+    assert margin.min() > 8.0 * rock.radius.mean()
+    assert rock.x.min() > rock.box[0]
+    assert rock.y.max() < rock.box[3]
+
+
+def test_mean_radius_and_a_polygon_off_the_origin() -> None:
+    shape = Polygon(((10.0, 5.0), (14.0, 5.0), (12.0, 9.0)))
+    rock = pack(
+        region=shape,
+        count=None,
+        mean_radius=0.1,
+        packing="random",
+        radius_ratio=2.0,
+        porosity=0.18,
+        seed=3,
+    )
+    assert rock.radius.mean() == pytest.approx(0.1, rel=0.02)
+    box = bounding_box(shape)
+    centre = [0.5 * (rock.box[0] + rock.box[1]), 0.5 * (rock.box[2] + rock.box[3])]
+    np.testing.assert_allclose(centre, [0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])])
+    solid = np.pi * 0.01 * mean_square_radius(2.0) / (1.0 - 0.18)
+    inside = np.count_nonzero(contains(shape, np.column_stack((rock.x, rock.y))))
+    assert inside == pytest.approx(shape.area / solid, rel=0.08)
+
+
+def test_same_scene_same_bits_and_seeds_differ() -> None:
+    rock = packed(0.18)
+    packed.cache_clear()
+    for one, two in zip(rock, packed(0.18), strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert not np.array_equal(rock.x, packed(0.18, seed=2).x)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("ratio", [1.0, 10.0])
+def test_few_grains_and_extreme_sizes(count: int, ratio: float) -> None:
+    rock = packed(0.18, count=count, ratio=ratio)
+    assert all(np.isfinite(field).all() for field in rock)
+    assert float(rock.porosity) == pytest.approx(0.18, abs=0.005)
+    assert float(rock.unbalanced_ratio) <= 1e-3
+
+
+@pytest.mark.parametrize("wanted", [0.1, 0.3])
+def test_impossible_porosity_names_the_range(wanted: float) -> None:
+    with pytest.raises(ModelError, match="cannot be reached") as caught:
+        packed(wanted, count=100)
+    low, high = map(float, re.findall(r"about ([\d.]+) to ([\d.]+)", str(caught.value))[0])
+    assert 0.14 < low < 0.17
+    assert 0.2 < high < 0.24
+
+
+@pytest.mark.parametrize(
+    ("kind", "cell", "neighbours"), [("square", 4.0, 4), ("hexagonal", 2.0 * np.sqrt(3.0), 6)]
+)
+def test_lattices_are_exact(kind: str, cell: float, neighbours: int) -> None:
+    rock = packed(None, kind=kind)
+    radius = rock.radius[0]
+    assert np.all(rock.radius == radius)
+    assert 4.0 / (cell * radius**2) == pytest.approx(400)  # cells in the region
+    assert float(rock.porosity) == pytest.approx(1.0 - np.pi / cell, abs=1e-15)
+    distance = np.hypot(
+        rock.x[rock.contact_b] - rock.x[rock.contact_a],
+        rock.y[rock.contact_b] - rock.y[rock.contact_a],
+    )
+    np.testing.assert_allclose(distance, 2.0 * radius, rtol=1e-13)
+    counts = np.bincount(np.r_[rock.contact_a, rock.contact_b], minlength=len(rock.x))
+    within = contains(Rectangle(2.0, 2.0), np.column_stack((rock.x, rock.y)))
+    assert np.all(counts[within] == neighbours)
+    assert not rock.normal_force.any()
+    assert not rock.shear_force.any()
+    assert np.hypot(rock.x, rock.y).min() > 1.1 * radius  # a pore at the origin
+    walls = [rock.x.min(), rock.x.max(), rock.y.min(), rock.y.max()]
+    np.testing.assert_allclose(rock.box - walls, radius * np.array([-1, 1, -1, 1]), rtol=1e-12)

@@ -1,0 +1,270 @@
+"""The command line: exit status, what goes where, and that it answers at once."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from sweep import cli
+from sweep.lock import FolderLock
+from sweep.progress import Progress, ProgressLine, duration, line, size
+from tests.sweep import toy_stages, toys
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("good")
+    return toys.write_study(folder, name="good", seeds=(1,), stresses=()), str(folder / "results")
+
+
+@pytest.fixture(scope="module")
+def bad(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bad")
+    rates = (1.0, toy_stages.RAISES)
+    path = toys.write_study(folder, name="bad", seeds=(1,), stresses=(), rates=rates)
+    return path, str(folder / "results")
+
+
+def test_a_good_study_from_plan_to_verify(good, capsys):
+    path, results = good
+    place = ["--results", results]
+    assert toys.demflow("plan", str(path), *place, "--json") == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert [(s["name"], s["runs"], s["shared"], s["to_run"]) for s in planned["stages"]] == [
+        ("pack", 1, 2, 1),
+        ("stress", 1, 2, 1),
+        ("flow", 3, 0, 3),
+        ("observe", 3, 0, 3),
+    ]
+    assert planned["seconds"] is None
+    assert not os.path.exists(results)  # a plan writes nothing
+
+    assert toys.demflow("status", str(path), *place) == 0
+    assert capsys.readouterr().out == "3 cases: 0 done, 0 failed, 3 missing\n"
+
+    assert toys.demflow("run", str(path), *place) == 0
+    told = capsys.readouterr()
+    assert told.out.splitlines() == [
+        f"dataset  {results}/good/dataset.nc",
+        f"figures  {results}/good/figures",
+    ]
+    assert "3 of 3 cases done, 0 failed, 0 left" in told.err
+    assert "3 of 3 cases good; 8 stage runs in" in told.err
+
+    assert toys.demflow("run", str(path), *place, "--json") == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)["computed"] == 0
+    assert "nothing was computed" in told.err
+
+    assert toys.demflow("plan", str(path), *place) == 0
+    assert "expected time: 0.0 s" in capsys.readouterr().out
+    assert toys.demflow("status", str(path), *place, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["done"] == 3
+    assert cli.main(["verify", results]) == 0
+    assert capsys.readouterr().out == "8 files checked, 0 damaged\n"
+
+
+def test_a_plan_of_what_was_measured(good, capsys):
+    path, results = good
+    more = path.read_text().replace("[1.0, 2.0, 3.0]", "[1.0, 2.0, 3.0, 4.0]")
+    grown = path.parent / "grown.yaml"
+    grown.write_text(more)
+    toys.demflow("run", str(path), "--results", results)
+    capsys.readouterr()
+    assert toys.demflow("plan", str(grown), "--results", results, "--json", "--workers", "1") == 0
+    planned = json.loads(capsys.readouterr().out)
+    assert planned["to_run"] == 2
+    assert 0 < planned["seconds"] == sum(stage["seconds"] for stage in planned["stages"])
+    assert planned["bytes"] > 0
+    assert planned["memory"] > 1e6
+    assert toys.demflow("plan", str(grown), "--results", results) == 0
+    assert "?" not in capsys.readouterr().out
+
+
+def test_some_case_failed(bad, capsys):
+    path, results = bad
+    assert toys.demflow("run", str(path), "--results", results) == 1
+    assert "1 of 2 cases good, 1 failed" in capsys.readouterr().err
+    assert toys.demflow("status", str(path), "--results", results) == 1
+    assert capsys.readouterr().out.splitlines() == [
+        "2 cases: 1 done, 1 failed, 0 missing",
+        "seed=1, rate=-1.0: failed: flow: the well is dry; try a smaller rate",
+    ]
+    assert toys.demflow("status", str(path), "--results", results, "--json") == 1
+    failure = {"seed": 1, "rate": -1.0, "status": "failed"}
+    found = json.loads(capsys.readouterr().out)["failures"]
+    assert found == [failure | {"message": "flow: the well is dry; try a smaller rate"}]
+
+
+def test_damage_is_found_and_healed(bad, capsys):
+    path, results = bad
+    toys.demflow("run", str(path), "--results", results)
+    capsys.readouterr()
+    store = os.path.join(results, "store")
+    files = [os.path.join(d, f) for d, _, names in os.walk(store) for f in names]
+    victim = next(f for f in files if f.endswith(".product"))
+    os.truncate(victim, os.path.getsize(victim) - 1)
+    assert cli.main(["verify", results]) == 1
+    told = capsys.readouterr()
+    assert told.out.splitlines()[0] == f"{victim}: the data differ from what was written"
+    assert "set aside" in told.err
+    toys.demflow("run", str(path), "--results", results, "--json")
+    assert json.loads(capsys.readouterr().out)["computed"] == 1
+    assert cli.main(["verify", results, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["damaged"] == []
+
+
+def test_an_invalid_study_runs_nothing(good, tmp_path, capsys):
+    path, _ = good
+    wrong = tmp_path / "wrong.yaml"
+    wrong.write_text(path.read_text().replace("viscosity", "viscoity"))
+    for command in ("run", "plan", "status", "report"):
+        assert cli.main([command, str(wrong), "--results", str(tmp_path / "results")]) == 2
+        told = capsys.readouterr()
+        assert f"{wrong}:" in told.err
+        assert "viscosity" in told.err
+        assert told.out == ""
+    assert cli.main(["check", str(wrong)]) == 2
+    assert f"{wrong}:" in capsys.readouterr().out
+    assert cli.main(["check", str(wrong), "--json"]) == 2
+    told = json.loads(capsys.readouterr().out)
+    assert not told["valid"]
+    assert all(p["line"] > 0 and p["column"] > 0 for p in told["problems"])
+    assert cli.main(["check", str(path)]) == 0
+    assert capsys.readouterr().out == f"{path}: valid, 3 cases\n"
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_folder_in_use_is_refused(good, capsys):
+    path, results = good
+    toys.demflow("run", str(path), "--results", results)
+    with FolderLock(toys.Path(results), "demflow run other"):
+        assert toys.demflow("run", str(path), "--results", results) == 2
+        assert f"process {os.getpid()}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        [],
+        ["walk", "study.yaml"],
+        ["run"],
+        ["run", "study.yaml", "--workers", "0"],
+        ["run", "study.yaml", "--workers", "two"],
+    ],
+)
+def test_wrong_usage(arguments, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main(arguments)
+    assert stopped.value.code == 2
+    assert "usage: demflow" in capsys.readouterr().err
+
+
+def test_wrong_places(good, tmp_path, capsys):
+    path, _ = good
+    assert cli.main(["verify", str(tmp_path)]) == 2
+    assert "is no results folder" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert toys.demflow("run", str(path), "--results", str(tmp_path / "file")) == 2
+    assert "cannot be used" in capsys.readouterr().err
+    assert toys.demflow("run", str(tmp_path / "absent.yaml")) == 2
+    assert "absent.yaml" in capsys.readouterr().err
+
+
+def test_schema_is_json(capsys):
+    assert cli.main(["schema"]) == 0
+    assert json.loads(capsys.readouterr().out)["type"] == "object"
+
+
+@pytest.mark.parametrize("command", [["--help"], ["check", "STUDY"], ["schema"]])
+def test_what_must_answer_at_once_imports_nothing_heavy(good, command):
+    code = (
+        "import sys\n"
+        "from sweep.cli import main\n"
+        "try:\n"
+        "    main(sys.argv[1:])\n"
+        "except SystemExit:\n"
+        "    pass\n"
+        "heavy = {'xarray', 'numba', 'dask', 'scipy', 'matplotlib', 'netCDF4', 'distributed'}\n"
+        "print(sorted(heavy & set(sys.modules)), file=sys.stderr)\n"
+    )
+    arguments = [str(good[0]) if word == "STUDY" else word for word in command]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments],
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stderr == "[]\n"
+    assert done.stdout
+
+
+def test_a_reader_that_stops_reading_is_no_error(good):
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(
+        f"'{sys.executable}' -m sweep.cli schema | head -c 1",
+        shell=True,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == "{"
+    assert "Traceback" not in done.stderr
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def test_progress_in_place_and_in_a_log(monkeypatch):
+    states = [Progress(8, 0, 0, None), Progress(8, 3, 1, 61.0), Progress(8, 7, 1, 0.0)]
+    assert line(states[1]) == "3 of 8 cases done, 1 failed, 4 left, 61 s to go"
+    log = io.StringIO()
+    written = ProgressLine(log)
+    for state in [*states, states[-1]]:
+        written(state)
+    written.close()
+    # the one in between came too soon after the first
+    assert log.getvalue().splitlines() == [line(states[0]), line(states[2])]
+    for no_colour in (False, True):
+        monkeypatch.setenv("NO_COLOR", "1" if no_colour else "")
+        screen = Terminal()
+        in_place = ProgressLine(screen)
+        in_place.every = 0.0
+        for state in states:
+            in_place(state)
+        in_place.close()
+        assert screen.getvalue().count("\r") == 3
+        assert screen.getvalue().count("\n") == 1
+        assert ("\033[31m" in screen.getvalue()) is not no_colour
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0, "0.0 s"),
+        (0.031, "31 ms"),
+        (8, "8.0 s"),
+        (90, "90 s"),
+        (180, "3 min"),
+        (7500, "2 h 05 min"),
+    ],
+)
+def test_durations(seconds, text):
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(0, "0 B"), (999, "999 B"), (3_100_000, "3.1 MB"), (5e12, "5000 GB")]
+)
+def test_sizes(count, text):
+    assert size(count) == text

@@ -1,0 +1,157 @@
+"""The dataset: every case in its place, described as CF asks."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+
+import netCDF4
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from model.quantities import CASE, SWEEP
+from sweep import collect as collect_module
+from sweep.collect import _tiles, collected_digest
+from sweep.engine import prepare
+from sweep.results import open_results
+from sweep.stages import Status
+from tests.sweep import toy_stages, toys
+
+
+@given(st.lists(st.integers(1, 6), max_size=4).map(tuple), st.integers(1, 50))
+def test_tiles_cut_the_cases_into_blocks_that_fit(shape, most):
+    seen = np.zeros(shape, dtype=int)
+    order = np.arange(math.prod(shape)).reshape(shape)
+    for tile in _tiles(shape, most):
+        assert len(tile.cases) == math.prod(tile.shape) <= most or not shape
+        assert list(order[tile.at].ravel()) == list(tile.cases)
+        seen[tile.at] += 1
+    assert (seen == 1).all()
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("collected")
+    path = toys.write_study(folder, rates=(1.0, toy_stages.RAISES, 3.0))
+    return path, toys.run(path, folder / "results")
+
+
+def test_every_case_lies_where_its_coordinates_say(finished):
+    path, ran = finished
+    dataset = open_results(ran.folder)
+    assert dict(dataset.sizes) == {
+        "seed": 2,
+        "stress_yy": 2,
+        "rate": 3,
+        "well": 1,
+        "elapsed_time": 3,
+        "component": 3,
+    }
+    packed = {seed: toy_stages.pack(count=50, seed=seed) for seed in (1, 2)}
+    for seed in (1, 2):
+        for stress in (5e6, 10e6):
+            for rate in (1.0, 3.0):
+                case = dataset.sel(seed=seed, stress_yy=stress, rate=rate)
+                load = packed[seed].x * 20e6 + stress
+                pressure = packed[seed].x.mean() + load.mean() + rate * np.log1p([1.0, 10.0, 100.0])
+                np.testing.assert_allclose(case.well_pressure.sel(well="producer"), pressure)
+                np.testing.assert_allclose(case.stress_achieved, load[:3])
+                assert case.grain_count == 50
+                assert case.status == Status.DONE
+    failed = dataset.sel(rate=toy_stages.RAISES)
+    assert (failed.status == Status.FAILED).all()
+    assert (failed.message == "flow: the well is dry; try a smaller rate").all()
+    for name in ("well_pressure", "porosity", "stress_achieved"):
+        assert np.isnan(failed[name]).all()
+    # asked for, but never found by these stages
+    assert np.isnan(dataset.pressure_derivative).all()
+
+
+def test_the_time_spent_adds_up(finished):
+    path, ran = finished
+    made = prepare(path, ran.folder.parent, table=toys.TABLE)
+    spent = 0.0
+    for run in made.plan.runs:
+        record = made.store.meta(run.id) if made.store.has(run.id) else made.store.failure(run.id)
+        spent += (record or {"seconds": 0.0})["seconds"]
+    total = float(open_results(ran.folder).compute_time.sum())
+    assert total == pytest.approx(spent, rel=1e-12)
+    assert total > 0
+
+
+def test_units_and_names_are_those_of_the_table(finished):
+    dataset = open_results(finished[1].folder)
+    for name, quantity in {**CASE, **SWEEP}.items():
+        if name in dataset:
+            assert dataset[name].attrs["units"] == quantity.unit
+            assert dataset[name].dims == ("seed", "stress_yy", "rate", *quantity.dimensions)
+    assert dataset.stress_yy.attrs["units"] == "Pa"
+    assert dataset.elapsed_time.attrs["units"] == "s"
+    status = dataset.status.attrs
+    assert list(status["flag_values"]) == [0, 1, 2, 3, 4, 5]
+    assert status["flag_meanings"].split()[:2] == ["done", "failed"]
+    assert list(dataset.component.values) == ["xx", "yy", "xy"]
+
+
+def test_the_dataset_says_where_it_comes_from(finished):
+    path, ran = finished
+    attributes = open_results(ran.folder).attrs
+    assert attributes["Conventions"] == "CF-1.11"
+    assert attributes["study_text"] == path.read_text()
+    assert attributes["seed"] == "1, 2"
+    assert attributes["stage_versions"] == "pack 1, stress 1, flow 1, observe 1"
+    for name in ("numpy", "scipy", "numba", "qdldl", "xarray", "netCDF4", "python"):
+        assert attributes[f"{name}_version"][0].isdigit()
+    assert (ran.folder / "study.yaml").read_text() == path.read_text()
+
+
+def test_coordinates_have_no_fill_value(finished):
+    with netCDF4.Dataset(finished[1].dataset) as file:
+        for name in file.dimensions:
+            assert "_FillValue" not in file[name].ncattrs()
+
+
+def test_cf_checker_finds_no_error(finished, tmp_path):
+    report = tmp_path / "report.json"
+    code = (
+        "import sys\n"
+        "from compliance_checker.runner import CheckSuite, ComplianceChecker\n"
+        "CheckSuite.load_all_available_checkers()\n"
+        "ComplianceChecker.run_checker(sys.argv[1], ['cf:1.11'], 0, 'normal',\n"
+        "    output_format=['json'], output_filename=sys.argv[2])\n"
+    )
+    arguments = [sys.executable, "-c", code, str(finished[1].dataset), str(report)]
+    subprocess.run(arguments, capture_output=True, check=True)
+    found = json.loads(report.read_text())["cf:1.11"]
+    assert found["high_priorities"]
+    messages = [
+        message
+        for level in ("high_priorities", "medium_priorities", "low_priorities")
+        for check in found[level]
+        for message in check["msgs"]
+        # the checker takes every coordinate in Pa for a height, an axis of the study too
+        if "not in the recommended order T, Z, Y, X" not in message
+    ]
+    assert messages == []
+
+
+def test_small_tiles_give_the_same_file(finished, tmp_path, monkeypatch):
+    path, ran = finished
+    made = prepare(path, ran.folder.parent, table=toys.TABLE)
+    monkeypatch.setattr(collect_module, "TILE_CASES", 2)
+    other = tmp_path / "dataset.nc"
+    verdicts = made.verdicts()
+    arguments = (made.study, made.plan, made.store, made.scene_of, verdicts, other)
+    assert collect_module.collect(*arguments, "digest") == []
+    with netCDF4.Dataset(ran.dataset) as a, netCDF4.Dataset(other) as b:
+        assert a.variables.keys() == b.variables.keys()
+        for name in a.variables:
+            np.testing.assert_array_equal(a[name][...], b[name][...])
+    assert collected_digest(other) == "digest"
+    assert collected_digest(tmp_path / "absent.nc") is None
+    other.write_bytes(other.read_bytes()[:1000])
+    assert collected_digest(other) is None

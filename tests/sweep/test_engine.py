@@ -1,0 +1,205 @@
+"""Whole runs on toy stages: nothing twice, nothing lost, the same bits however it ran."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from sweep.engine import prepare
+from sweep.lock import FolderLock, LockedError
+from sweep.results import open_results
+from sweep.store import StoreError
+from tests.sweep import toys
+
+CASES = 2 * 2 * 3
+RUNS = 2 + 4 + 12 + 12  # packs, stresses, flows, observers
+
+
+def data(folder: Path) -> dict:
+    """All that a dataset holds but the times that were measured."""
+    dataset = open_results(folder)
+    return {name: v for name, v in dataset.data_vars.items() if name != "compute_time"}
+
+
+def assert_same_bits(a: Path, b: Path) -> None:
+    first, second = data(a), data(b)
+    assert first.keys() == second.keys()
+    for name, variable in first.items():
+        assert variable.dtype == second[name].dtype
+        assert variable.values.tobytes() == second[name].values.tobytes() or (
+            variable.dtype.kind in "UO" and variable.equals(second[name])
+        )
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("done")
+    path = toys.write_study(folder)
+    return path, toys.run(path, folder / "results")
+
+
+def test_shared_stages_run_once(done):
+    _, finished = done
+    assert (finished.cases, finished.failed) == (CASES, 0)
+    assert finished.executed.computed == RUNS
+    assert finished.collected
+
+
+def test_a_second_run_computes_nothing_and_starts_no_dask(done):
+    path, finished = done
+    code = (
+        "import sys\n"
+        "from tests.sweep import toys\n"
+        "f = toys.run(sys.argv[1], sys.argv[2])\n"
+        "assert f.executed is None and not f.collected, f\n"
+        "heavy = {'dask', 'distributed', 'xarray', 'matplotlib', 'pandas'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    before = finished.dataset.read_bytes()
+    arguments = [sys.executable, "-c", code, str(path), str(finished.folder.parent)]
+    subprocess.run(arguments, env=environment(), check=True)
+    assert finished.dataset.read_bytes() == before
+
+
+def test_one_worker_and_two_give_the_same_bits(done, tmp_path):
+    path, finished = done
+    alone = toys.run(path, tmp_path, workers=1)
+    assert alone.executed.computed == RUNS
+    assert_same_bits(alone.folder, finished.folder)
+
+
+def test_a_growing_study_computes_only_what_is_new(tmp_path):
+    def grown(**changes):
+        path = toys.write_study(tmp_path, **changes)
+        made = prepare(path, tmp_path / "results", table=toys.TABLE)
+        planned = int((~made.stored()).sum())
+        finished = toys.run(path, tmp_path / "results")
+        executed = finished.executed.computed if finished.executed else 0
+        assert executed == planned
+        return executed, finished
+
+    small = {"seeds": (1,), "stresses": (5e6,), "rates": (1.0, 2.0)}
+    assert grown(**small)[0] == 1 + 1 + 2 + 2
+    assert grown(**(small | {"rates": (1.0, 3.0, 2.0)}))[0] == 2  # a value between two
+    assert grown(**(small | {"stresses": (5e6, 6e6)}))[0] == 1 + 2 + 2
+    executed, finished = grown(**(small | {"seeds": ()}))  # an axis gone: its value was the default
+    assert executed == 0
+    assert open_results(finished.folder).well_pressure.dims[:2] == ("stress_yy", "rate")
+    path = toys.write_study(tmp_path, **small)
+    path.write_text(path.read_text().replace("[well_pressure]", "[well_pressure, pressure_map]"))
+    assert toys.run(path, tmp_path / "results").executed is None  # toy stages do not read it
+
+
+def test_force_computes_everything_again(done):
+    path, finished = done
+    again = toys.run(path, finished.folder.parent, force=True)
+    assert again.executed.computed == RUNS
+
+
+def test_damaged_products_are_found_recomputed_and_reported(done, tmp_path):
+    path, finished = done
+    first = toys.run(path, tmp_path / "results")
+    made = prepare(path, tmp_path / "results", table=toys.TABLE)
+    by_stage = {made.plan.stage_of(k).name: made.plan.runs[k].id for k in range(RUNS)}
+    # a parent that is read again, and a case's own product
+    for name in ("stress", "observe"):
+        file = made.store.path(by_stage[name])
+        content = bytearray(file.read_bytes())
+        content[-1] ^= 1
+        file.write_bytes(content)
+    made.store.path(by_stage["flow"]).unlink()
+    first.dataset.unlink()
+    again = toys.run(path, tmp_path / "results")
+    assert again.executed.computed == 3
+    assert sorted(by_stage[n] in m for m in again.damaged for n in ("stress", "observe")) == [
+        False,
+        False,
+        True,
+        True,
+    ]
+    assert again.failed == 0
+    assert_same_bits(again.folder, finished.folder)
+
+
+def test_two_runs_on_one_folder(done):
+    path, finished = done
+    with (
+        FolderLock(finished.folder.parent, "demflow run toy"),
+        pytest.raises(LockedError, match=f"process {os.getpid()}"),
+    ):
+        toys.run(path, finished.folder.parent)
+
+
+def test_a_folder_that_is_something_else_is_left_alone(tmp_path):
+    path = toys.write_study(tmp_path)
+    home = tmp_path / "home"
+    (home / "store").mkdir(parents=True)
+    (home / "store" / "diary.txt").write_text("dear diary")
+    with pytest.raises(StoreError, match="holds no store"):
+        toys.run(path, home)
+    assert [p.name for p in home.rglob("*")] == ["store", "diary.txt"]
+
+
+def environment() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([os.getcwd(), *filter(None, sys.path)])}
+
+
+def start(path: Path, results: Path) -> subprocess.Popen:
+    command = [sys.executable, "-m", "tests.sweep.toys", "run", str(path)]
+    return subprocess.Popen(
+        [*command, "--results", str(results)],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def stored(results: Path) -> set[str]:
+    return {path.name for path in results.glob("store/*/*.product")}
+
+
+def wait_until(condition) -> None:
+    for _ in range(600):
+        if condition():
+            return
+        time.sleep(0.05)
+    raise AssertionError("it did not happen")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, number):
+    rates = tuple(range(1, 11))
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, seconds=0.25)
+    results = tmp_path / "results"
+    process = start(path, results)
+    wait_until(lambda: len(stored(results)) > 4)
+    family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)  # as a terminal does: to all of them
+    else:
+        process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == (-9 if number == signal.SIGKILL else 130)
+    if number != signal.SIGKILL:
+        assert "interrupted" in err
+        assert "Traceback" not in err
+    assert psutil.wait_procs(family, timeout=20)[1] == []
+    kept = stored(results)
+    assert 4 < len(kept) < 2 + 20
+    times = {path.name: path.stat().st_mtime_ns for path in results.glob("store/*/*.product")}
+    finished = toys.run(path, results)
+    assert (finished.cases, finished.failed) == (10, 0)
+    assert finished.executed.computed == 2 + 20 - len(kept)
+    for file in results.glob("store/*/*.product"):
+        assert file.stat().st_mtime_ns == times.get(file.name, file.stat().st_mtime_ns)
+    assert list(results.rglob("*.partial")) == []
+    assert not (results / ".lock").exists()

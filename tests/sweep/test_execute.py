@@ -1,0 +1,174 @@
+"""Runs on real worker processes: what a bad case may cost, and what nobody may see."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import numpy as np
+import psutil
+import pytest
+from distributed import LocalCluster
+
+from sweep.execute import RunError, _Remote
+from sweep.results import open_results
+from sweep.stages import Status
+from tests.sweep import toy_stages, toys
+
+POISON = {
+    toy_stages.RAISES: (Status.FAILED, "flow: the well is dry; try a smaller rate"),
+    toy_stages.BREAKS: (Status.FAILED, "flow: ZeroDivisionError: one over nothing (toy_stages.py"),
+    toy_stages.NO_MEMORY: (Status.OUT_OF_MEMORY, "flow: no memory left"),
+    toy_stages.DIES: (Status.WORKER_DIED, "flow: its worker process died"),
+    toy_stages.HANGS: (Status.TIMED_OUT, "flow: not done after 3 s"),
+    toy_stages.GROWS: (Status.OUT_OF_MEMORY, "flow: more than 0.3 GB"),
+}
+HEALTHY = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def poisoned(tmp_path_factory):
+    """A study in which every second case does what no case should, and what the run showed."""
+    folder = tmp_path_factory.mktemp("poisoned")
+    rates = tuple(np.ravel(list(zip(HEALTHY, POISON, strict=True))))
+    path = toys.write_study(
+        folder,
+        seeds=(1,),
+        stresses=(),
+        rates=tuple(map(float, rates)),
+        limits="{time: 3 s, memory: 300 MB}",
+    )
+    seen = []
+    finished = toys.run(path, folder / "results", progress=seen.append)
+    return path, finished, open_results(finished.folder), seen
+
+
+@pytest.mark.parametrize("rate", POISON)
+def test_each_bad_case_is_one_status_with_a_message(poisoned, rate):
+    status, message = POISON[rate]
+    case = poisoned[2].sel(rate=rate, seed=1)
+    assert case.status == status
+    assert str(case.message.item()).startswith(message)
+    assert np.isnan(case.well_pressure).all()
+
+
+def test_no_other_case_is_lost(poisoned):
+    _, finished, dataset, seen = poisoned
+    good = dataset.sel(rate=list(HEALTHY))
+    assert (good.status == Status.DONE).all()
+    assert (good.message == "").all()
+    assert np.isfinite(good.well_pressure).all()
+    assert (finished.cases, finished.failed) == (12, 6)
+    assert (seen[-1].done, seen[-1].failed, seen[-1].left) == (6, 6, 0)
+
+
+def variant(path, rates, limit="3 s"):
+    """The poisoned study with other rates and another limit, in a file of its own."""
+    folder = path.parent / f"variant {len(rates)} {limit}"
+    folder.mkdir(exist_ok=True)
+    limits = f"{{time: {limit}, memory: 300 MB}}"
+    return toys.write_study(folder, seeds=(1,), stresses=(), rates=rates, limits=limits)
+
+
+def test_a_failure_is_not_met_again_unless_asked_for(poisoned):
+    path, finished, _, _ = poisoned
+    results = finished.folder.parent
+    again = toys.run(path, results)
+    assert again.executed is None
+    assert not again.collected
+    few = variant(path, (1.0, toy_stages.RAISES, toy_stages.BREAKS))
+    asked = toys.run(few, results, retry_failed=True)
+    assert (asked.executed.failed, asked.executed.computed) == (2, 0)
+
+
+def test_a_limit_that_was_raised_is_tried_again(poisoned):
+    path, finished, _, _ = poisoned
+    rates = (1.0, toy_stages.HANGS)
+    raised = toys.run(variant(path, rates, "3.1 s"), finished.folder.parent)
+    lowered = toys.run(variant(path, rates, "2.9 s"), finished.folder.parent)
+    assert raised.executed.failed == 1
+    assert lowered.executed is None
+
+
+def processes() -> list[psutil.Process]:
+    return [psutil.Process(), *psutil.Process().children(recursive=True)]
+
+
+def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing(tmp_path):
+    before = {p.pid for p in processes()}
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, 2.0), seconds=0.8)
+    listening: set[str] = set()
+    environments: list[dict[str, str]] = []
+    stop = threading.Event()
+
+    def watch() -> None:
+        while not stop.wait(0.2):
+            for process in processes():
+                try:
+                    found = process.net_connections("inet")
+                    if process.pid not in before and "spawn_main" in " ".join(process.cmdline()):
+                        environments.append(process.environ())
+                except psutil.Error:
+                    continue
+                listening.update(c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    finished = toys.run(path, tmp_path / "results")
+    stop.set()
+    watcher.join()
+    assert finished.failed == 0
+    assert listening == {"127.0.0.1"}
+    assert environments
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        assert {environment[name] for environment in environments} == {"1"}
+    # the resource tracker of multiprocessing belongs to the interpreter, not to the run
+    left = [p for p in processes() if p.pid not in before]
+    assert [p for p in left if "resource_tracker" not in " ".join(p.cmdline())] == []
+
+
+def test_workers_killed_from_outside_cost_no_case(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(), rates=HEALTHY, seconds=0.15)
+    undisturbed = open_results(toys.run(path, tmp_path / "calm").folder)
+    mine = os.getpid()
+    stop = threading.Event()
+    killed = []
+
+    def kill_now_and_then() -> None:
+        while not stop.wait(0.7):
+            for process in psutil.Process(mine).children():
+                if "spawn_main" in " ".join(process.cmdline()) and len(killed) < 3:
+                    killed.append(process.pid)
+                    process.kill()
+                    break
+
+    killer = threading.Thread(target=kill_now_and_then)
+    killer.start()
+    finished = toys.run(path, tmp_path / "stormy")
+    stop.set()
+    killer.join()
+    assert killed
+    assert finished.failed == 0
+    for name, variable in open_results(finished.folder).data_vars.items():
+        if name != "compute_time":
+            assert variable.identical(undisturbed[name])
+
+
+def test_a_running_scheduler_can_be_used(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, toy_stages.RAISES))
+    with LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
+    ) as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
+        assert len(cluster.scheduler.workers) == 1  # left as it was found
+    assert (finished.cases, finished.failed) == (2, 1)
+
+
+def test_no_scheduler_is_said_clearly(tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.execute.CONNECT_SECONDS", 0.5)
+    with pytest.raises(RunError, match="no Dask scheduler answers at tcp://127.0.0.1:1"):
+        _Remote("tcp://127.0.0.1:1")

@@ -1,0 +1,168 @@
+"""Inside a worker: bundles, lost parents, the products kept in memory, the kernel cache."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from model.stages import Stage
+from sweep import worker
+from sweep.stages import Status
+from sweep.store import Store
+from sweep.worker import Job, Task, run_job
+from tests.sweep import toy_stages, toys
+
+IDS = {name: f"{k}{k}" + "0" * 62 for k, name in enumerate(("pack", "flow", "observe"))}
+
+
+@pytest.fixture
+def store(tmp_path, monkeypatch):
+    monkeypatch.setattr(worker, "_memory", worker._Memory(worker.CACHE_BYTES))
+    return Store.open(tmp_path / "store")
+
+
+def tasks(rate: float = 1.0) -> tuple[Task, ...]:
+    flow = {"rate": rate, "viscosity": 0.0, "times": (1.0, 2.0)}
+    return (
+        Task(0, IDS["pack"], "pack", {"count": 5, "seed": 1}, ()),
+        Task(1, IDS["flow"], "flow", flow, (IDS["pack"], None)),
+        Task(2, IDS["observe"], "observe", {}, (IDS["pack"], None, IDS["flow"])),
+    )
+
+
+def run(store: Store, *chosen: Task) -> list:
+    return run_job(Job(str(store.root), toys.TABLE, chosen))
+
+
+def test_a_bundle_runs_in_turn_and_stores_each_product(store):
+    outcomes = run(store, *tasks())
+    assert [(o.run, o.status) for o in outcomes] == [(k, Status.DONE) for k in range(3)]
+    found = store.get(IDS["observe"]).arrays
+    packed = toy_stages.pack(count=5, seed=1)
+    expected = packed.x.mean() + np.log1p([1.0, 2.0])
+    np.testing.assert_array_equal(found["well_pressure"], [expected])
+    for outcome, identity in zip(outcomes, IDS.values(), strict=True):
+        meta = store.meta(identity)
+        assert meta["seconds"] == outcome.seconds
+        assert outcome.stored == store.path(identity).stat().st_size
+        assert meta["versions"]["numpy"] == np.__version__
+
+
+def test_from_memory_or_from_the_store_the_bits_are_the_same(store):
+    run(store, *tasks())
+    first = store.path(IDS["observe"])
+    kept = store.get(IDS["observe"]).arrays
+    first.unlink()
+    worker._memory.products.clear()
+    assert run(store, tasks()[2])[0].status is Status.DONE
+    again = store.get(IDS["observe"]).arrays
+    assert all(kept[name].tobytes() == again[name].tobytes() for name in kept)
+
+
+def test_what_follows_a_failure_is_left_out(store):
+    outcomes = run(store, *tasks(toy_stages.BREAKS))
+    assert [o.status for o in outcomes] == [Status.DONE, Status.FAILED]
+    record = store.failure(IDS["flow"])
+    assert record["status"] == Status.FAILED
+    assert "ZeroDivisionError" in record["traceback"]
+    assert store.failure(IDS["observe"]) is None
+
+
+def test_a_lost_parent_is_named(store):
+    missing = run(store, tasks()[1])[0]
+    assert (missing.status, missing.lost) == (Status.NOT_RUN, IDS["pack"])
+    run(store, tasks()[0])
+    worker._memory.products.clear()
+    os.truncate(store.path(IDS["pack"]), 90)
+    damaged = run(store, tasks()[1])[0]
+    assert damaged.lost == IDS["pack"]
+    assert not store.has(IDS["pack"])
+    assert store.failure(IDS["flow"]) is None
+
+
+def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkeypatch):
+    def fail(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("sweep.store.os.fsync", fail)
+    with pytest.raises(OSError, match="No space"):
+        run(store, *tasks())
+    monkeypatch.undo()
+    assert list(store.files()) == []
+
+
+def test_memory_is_bounded_and_keeps_what_was_used_last():
+    memory = worker._Memory(limit=240)
+    for name in "abc":
+        memory.put(name, {"x": np.zeros(10)})
+    assert memory.get("a") is not None
+    memory.put("d", {"x": np.zeros(10)})
+    assert sorted(memory.products) == ["a", "c", "d"]
+    memory.put("large", {"x": np.zeros(100)})
+    assert memory.get("large") is None
+    assert memory.size == 240
+
+
+def test_the_toy_rows_are_those_of_the_model():
+    assert [f.name for f in fields(toy_stages.Stage)] == [f.name for f in fields(Stage)]
+
+
+KERNEL = """
+from numba import njit
+
+@njit(cache=True)
+def twice(x):
+    return x + x
+"""
+
+COMPILE = """
+import os, sys, time
+from numba.core import caching
+from sweep.worker import guard_kernel_cache
+
+save = caching.IndexDataCacheFile._save_index
+
+def slowly(self, overloads):
+    time.sleep(0.5)  # another process has all the time to come in between
+    save(self, overloads)
+
+caching.IndexDataCacheFile._save_index = slowly
+guard_kernel_cache()
+from guarded_kernel import twice
+print("ready", flush=True)
+sys.stdin.readline()
+assert twice(eval(sys.argv[1])) == 2 * eval(sys.argv[1])
+"""
+
+
+def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
+    (tmp_path / "guarded_kernel.py").write_text(KERNEL)
+    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    compiling = [
+        subprocess.Popen([sys.executable, "-c", COMPILE, argument], env=environment, **pipes)
+        for argument in ("1", "1.5", "2j")
+    ]
+    for process in compiling:
+        assert process.stdout.readline() == "ready\n"
+    for process in compiling:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    for process in compiling:
+        process.communicate(timeout=60)
+        assert process.returncode == 0
+    code = (
+        "from guarded_kernel import twice\n"
+        "print([twice(x) for x in (1, 1.5, 2j)], sum(twice.stats.cache_hits.values()))\n"
+    )
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+    )
+    assert loaded.stdout == "[2, 3.0, 4j] 3\n"

@@ -1,0 +1,123 @@
+"""A table of stages of a few lines, which can also do all that a stage must not do.
+
+The rate of the well says how `flow` behaves, the viscosity how long it takes in seconds.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from model.outcome import ModelError
+from model.scene import Scene
+
+RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
+
+
+@dataclass(frozen=True)
+class Stage:
+    """As `model.stages.Stage`, without what that module imports."""
+
+    name: str
+    run: Callable[..., Any]
+    version: int
+    parents: tuple[str, ...]
+    reads: Mapping[str, Callable[[Scene], Any]]
+    wanted: Callable[[Scene], bool]
+    product: type
+
+
+class Packed(NamedTuple):
+    x: Any
+    seed: Any
+
+
+class Loaded(NamedTuple):
+    force: Any
+
+
+class Flowed(NamedTuple):
+    pressure: Any
+
+
+def pack(*, count: int, seed: int) -> Packed:
+    return Packed(np.random.default_rng(seed).random(count), np.asarray(seed))
+
+
+def stress(packed: Packed, *, stress: Any) -> Loaded:
+    return Loaded(packed.x * stress.xx + stress.yy)
+
+
+def flow(
+    packed: Packed, loaded: Loaded | None, *, rate: float, viscosity: float, times: Any
+) -> Flowed:
+    if rate == RAISES:
+        raise ModelError("the well is dry; try a smaller rate")
+    if rate == DIES:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if rate == HANGS:
+        time.sleep(3600)
+    if rate == GROWS:
+        kept = np.ones(30_000_000)
+        time.sleep(3600)
+        kept += 1
+    if rate == BREAKS:
+        raise ZeroDivisionError("one over nothing")
+    if rate == NO_MEMORY:
+        raise MemoryError
+    time.sleep(viscosity)
+    base = packed.x.mean() + (0.0 if loaded is None else loaded.force.mean())
+    return Flowed(base + rate * np.log1p(np.asarray(times)))
+
+
+def observe(packed: Packed, loaded: Loaded | None, flowed: Flowed) -> dict[str, np.ndarray]:
+    found = {
+        "well_pressure": flowed.pressure[None, :],
+        "porosity": packed.x.std(),
+        "grain_count": np.asarray(len(packed.x)),
+    }
+    if loaded is not None:
+        found["stress_achieved"] = loaded.force[:3]
+    return found
+
+
+def _always(scene: Scene) -> bool:
+    return True
+
+
+def _loaded(scene: Scene) -> bool:
+    return scene.stress is not None
+
+
+STAGES = (
+    Stage(
+        "pack",
+        pack,
+        1,
+        (),
+        {"count": lambda s: s.grains.count, "seed": lambda s: s.grains.seed},
+        _always,
+        Packed,
+    ),
+    Stage("stress", stress, 1, ("pack",), {"stress": lambda s: s.stress}, _loaded, Loaded),
+    Stage(
+        "flow",
+        flow,
+        1,
+        ("pack", "stress"),
+        {
+            "rate": lambda s: s.wells[0].rate,
+            "viscosity": lambda s: s.fluid.viscosity,
+            "times": lambda s: s.times,
+        },
+        _always,
+        Flowed,
+    ),
+    Stage("observe", observe, 1, ("pack", "stress", "flow"), {}, _always, dict),
+)

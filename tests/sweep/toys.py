@@ -1,0 +1,77 @@
+"""Studies that run on the table of `toy_stages`, and the command line on that table."""
+
+from __future__ import annotations
+
+import functools
+import sys
+from pathlib import Path
+from typing import Any
+
+from sweep import cli, engine
+
+TABLE = "tests.sweep.toy_stages:STAGES"
+
+TEXT = """
+study: {name}
+title: Toy
+scene:
+  region: {{shape: rectangle, width: 14 m, height: 14 m}}
+  grains: {{count: 50, porosity: 0.17, seed: 1, modulus: 20 GPa}}
+  stress: {{xx: 20 MPa, yy: 10 MPa}}
+  matrix: {{permeability: 1 mD}}
+  fluid: {{viscosity: {seconds} Pa s, bulk_modulus: 1 GPa}}
+  wells: {{producer: {{at: [0 m, 0 m], radius: 1 m, rate: 1 m3/s}}}}
+  boundaries: {{left: 7 MPa}}
+  initial_pressure: 7 MPa
+  times: [1 s, 10 s, 100 s]
+{vary}
+observe: [well_pressure]
+{limits}
+"""
+
+
+def write_study(
+    folder: Path,
+    *,
+    name: str = "toy",
+    seeds: tuple[int, ...] = (1, 2),
+    stresses: tuple[float, ...] = (5e6, 10e6),
+    rates: tuple[float, ...] = (1.0, 2.0, 3.0),
+    seconds: float = 1e-6,
+    limits: str = "",
+) -> Path:
+    """Write a study over seeds, stresses and rates; `seconds` is what each flow takes."""
+    axes = {"seed": ("grains.seed", seeds), "stress_yy": ("stress.yy", stresses)}
+    axes["rate"] = ("wells.producer.rate", rates)
+    lines = [
+        f"  {axis}: {{parameter: {path}, values: {list(values)}}}"
+        for axis, (path, values) in axes.items()
+        if values
+    ]
+    vary = "\n".join(["vary:", *lines]) if lines else ""
+    path = folder / f"{name}.yaml"
+    path.write_text(
+        TEXT.format(name=name, seconds=seconds, vary=vary, limits=limits and f"limits: {limits}")
+    )
+    return path
+
+
+def run(path: Path, results: Path, **options: Any) -> engine.Finished:
+    """Run a study on the toy stages, without figures."""
+    return engine.run_study(path, results=results, figures=False, table=TABLE, **options)
+
+
+def demflow(*arguments: str) -> int:
+    """The command line, on the toy stages and without figures."""
+    engine.run_study = functools.partial(_run_study, table=TABLE, figures=False)
+    engine.prepare = functools.partial(_prepare, table=TABLE)
+    try:
+        return cli.main(arguments)
+    finally:
+        engine.run_study, engine.prepare = _run_study, _prepare
+
+
+_run_study, _prepare = engine.run_study, engine.prepare
+
+if __name__ == "__main__":
+    sys.exit(demflow(*sys.argv[1:]))

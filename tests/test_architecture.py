@@ -1,0 +1,155 @@
+"""Imports flow one way, and each outer library has one door."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+# A room may import the rooms before it in its list, and itself.
+MODEL = (
+    ("model.parameters",),
+    ("model.region",),
+    ("model.scene",),
+    ("model.outcome", "model.compile", "model.products", "model.quantities", "model.transient"),
+    ("model.mechanics",),
+    ("model.network",),
+    ("model.flow",),
+    ("model.permeability", "model.observe"),
+    ("model.stages",),
+)
+# The study and its cases are read without the model's machinery; what runs comes after, and
+# what is made of results reads no stage.
+SWEEP = (
+    ("sweep.units", "sweep.yaml_source", "sweep.lock", "sweep.progress", "sweep.versions"),
+    ("sweep.grammar",),
+    ("sweep.blocks", "sweep.smoke"),
+    ("sweep.scene_grammar",),
+    ("sweep.axes",),
+    ("sweep.scenes",),
+    ("sweep.study",),
+    ("sweep.schema", "sweep.cases"),
+    ("sweep.stages", "sweep.identity", "sweep.store"),
+    ("sweep.plan", "sweep.worker", "sweep.cost"),
+    ("sweep.schedule",),
+    ("sweep.execute", "sweep.collect"),
+    ("sweep.results",),
+    ("sweep.analysis",),
+    ("sweep.figures",),
+    ("sweep.report",),
+    ("sweep.engine",),
+    ("sweep.forecast",),
+    ("sweep.cli",),
+)
+# All that a study needs of the model: what a scene is, what is measured, how a case ended.
+CONTRACT = ("model.parameters", "model.region", "model.scene", "model.outcome", "model.quantities")
+MACHINERY = {  # rooms of the sweep that may see more of the model, and what
+    "sweep.stages": ("model.stages",),
+    "sweep.plan": ("model.stages",),
+    "sweep.cost": ("model.stages",),
+    "sweep.worker": ("model.stages",),
+    "sweep.analysis": ("model.analytic", "model.transient"),
+    "sweep.figures": ("model.analytic", "model.transient"),
+}
+DOORS = {  # outer library: the only rooms that may import it
+    "numba": {"model.compile"},
+    "qdldl": {"model.flow.factor"},
+    "dask": {"sweep.execute", "sweep.worker"},
+    "distributed": {"sweep.execute", "sweep.worker"},
+    "netCDF4": {"sweep.collect", "sweep.results"},
+    "ruamel": {"sweep.yaml_source"},
+}
+
+
+def imports() -> dict[str, set[str]]:
+    """Modules that each module of ours imports, wherever in the file."""
+    found: dict[str, set[str]] = {}
+    for path in sorted([*ROOT.glob("model/**/*.py"), *ROOT.glob("sweep/**/*.py")]):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        name = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        names = found.setdefault(name, set())
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                names |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom):
+                assert node.level == 0, f"{name}: relative imports hide where things come from"
+                names |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+IMPORTS = imports()
+
+
+def lies_in(module: str, rooms) -> bool:
+    return any(module == room or module.startswith(room + ".") for room in rooms)
+
+
+def place(module: str, order) -> int | None:
+    return next((k for k, rooms in enumerate(order) if lies_in(module, rooms)), None)
+
+
+@pytest.mark.parametrize(("top", "order"), [("model", MODEL), ("sweep", SWEEP)])
+def test_imports_flow_one_way(top, order):
+    for module, names in IMPORTS.items():
+        if module == top or not lies_in(module, [top]) or lies_in(module, ["model.analytic"]):
+            continue
+        here = place(module, order)
+        assert here is not None, f"{module} has no place in the order of rooms"
+        for name in names:
+            there = place(name, order)
+            if there is not None:
+                same_room = there == here and place(name, [order[here]]) is not None
+                assert there < here or (same_room and _room(name, order) == _room(module, order)), (
+                    f"{module} imports {name}"
+                )
+
+
+def _room(module: str, order) -> str:
+    return next(room for rooms in order for room in rooms if lies_in(module, [room]))
+
+
+def test_the_model_knows_nothing_of_studies():
+    for module, names in IMPORTS.items():
+        if lies_in(module, ["model"]):
+            outer = ("sweep", "dask", "distributed", "xarray", "netCDF4", "ruamel", "matplotlib")
+            assert not [n for n in names if lies_in(n, outer)], module
+
+
+def test_closed_forms_stand_alone():
+    """They judge the model, so they share nothing with it."""
+    analytic = [m for m in IMPORTS if lies_in(m, ["model.analytic"])]
+    assert len(analytic) > 4
+    allowed = ("numpy", "scipy", "math", "__future__", "collections", "functools", "typing")
+    for module in analytic:
+        for name in IMPORTS[module]:
+            assert lies_in(name, (*allowed, "model.analytic")), f"{module} imports {name}"
+
+
+def test_the_sweep_sees_the_contract_and_few_rooms_more():
+    for module, names in IMPORTS.items():
+        if not lies_in(module, ["sweep"]):
+            continue
+        allowed = [*CONTRACT, *MACHINERY.get(_room_of_sweep(module), ())]
+        for name in names:
+            if lies_in(name, ["model"]):
+                assert lies_in(name, allowed), f"{module} imports {name}"
+
+
+def _room_of_sweep(module: str) -> str:
+    return ".".join(module.split(".")[:2])
+
+
+@pytest.mark.parametrize("library", DOORS)
+def test_outer_libraries_have_one_door(library):
+    users = {
+        module for module, names in IMPORTS.items() if any(lies_in(n, [library]) for n in names)
+    }
+    assert users <= DOORS[library]
+
+
+def test_the_rule_can_fail():
+    """The reader of imports finds what is there."""
+    assert "model.compile.kernel" in IMPORTS["model.flow.factor"]
+    assert "numba.njit" in IMPORTS["model.compile"]
+    assert place("model.stages", MODEL) > place("model.flow.solvers", MODEL)

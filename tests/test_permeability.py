@@ -1,0 +1,198 @@
+"""The permeability tensor: closed forms of lattices, duality, symmetry, bounds."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from model.analytic import lattice as closed_form
+from model.network.apertures import pipe_conductance, uniform
+from model.network.domains import network
+from model.outcome import ModelError
+from model.permeability import permeability, unit_permeability
+from model.region import Circle, Polygon, Rectangle
+from model.scene import Trace
+from tests.reservoirs import reservoir
+from tests.rocks import hexagonal_lattice, packing_of, random_graph, square_lattice
+
+R = 0.05
+REGIONS = {
+    "rectangle": Rectangle(1.7, 1.1),
+    "circle": Circle(0.8),
+    "polygon": Polygon(((-0.8, -0.7), (0.9, -0.5), (0.6, 0.9), (0.0, 0.1))),
+}
+LATTICES = {
+    "square": (square_lattice, 1 / (24 * R), 1 - math.pi / 4),
+    "hexagonal": (
+        hexagonal_lattice,
+        1 / (24 * math.sqrt(3) * R),
+        1 - math.pi / (2 * math.sqrt(3)),
+    ),
+}
+
+
+@pytest.mark.parametrize("region", REGIONS)
+@pytest.mark.parametrize("kind", LATTICES)
+@given(dx=st.floats(-R, R), dy=st.floats(-R, R))
+@settings(max_examples=8)
+def test_lattices_have_their_closed_forms_however_they_are_cut(kind, region, dx, dy):
+    make, k, porosity = LATTICES[kind]
+    net = network(make(1.2, R, (dx, dy)), region=REGIONS[region])
+    np.testing.assert_allclose(unit_permeability(net) / k, np.eye(2), atol=1e-10)
+    assert net.porosity == pytest.approx(porosity, rel=1e-10)
+
+
+def test_the_closed_forms_are_those_of_the_analytic_room():
+    w = 2e-5
+    assert closed_form.square_permeability(w, R) == pytest.approx(w**3 / (24 * R))
+    assert closed_form.hexagonal_permeability(w, R) == pytest.approx(w**3 / (24 * R * 3**0.5))
+    assert pytest.approx(LATTICES["square"][2]) == closed_form.SQUARE_POROSITY
+    assert pytest.approx(LATTICES["hexagonal"][2]) == closed_form.HEXAGONAL_POROSITY
+
+
+def scaled(net, factor):
+    """The network at unit aperture with every conductance times a factor (pipes,)."""
+    opened = uniform(net, 1.0, 1.0)
+    conductance = opened.conductance * factor
+    return opened._replace(
+        conductance=conductance, cut_conductance=conductance[net.cut] / net.cut_fraction
+    )
+
+
+def test_duality_makes_the_geometric_mean_of_a_square_lattice():
+    """Keller (1964), Dykhne (1971): ln g symmetric about 0 gives k = k(g = 1) in 2-D.
+
+    The arithmetic mean of these conductances is 3.8, the harmonic one 0.27.
+    """
+    net = network(square_lattice(1.0, 1 / 60), region=Rectangle(1.8, 1.8))
+    rng = np.random.default_rng(1)
+    logs = []
+    for _ in range(10):
+        factor = np.exp(rng.choice([-2.0, 2.0], len(net.pipe_from)))
+        tensor = permeability(net, scaled(net, factor), viscosity=1.0) * 24 / 60
+        logs += np.log(np.linalg.eigvalsh(tensor)).tolist()
+    assert abs(np.mean(logs)) < 4 * np.std(logs) / math.sqrt(len(logs))
+    assert abs(np.mean(logs)) < 0.05
+
+
+def test_layers_in_series_and_in_parallel():
+    """Rows of pores alternate between 1 and 9: means harmonic across, arithmetic along."""
+    net = network(square_lattice(1.0, R, (R, R)), region=Rectangle(1.6 * (1 - 1e-9), 1.6 - 1e-9))
+    along_x = np.abs(net.y[net.pipe_from] - net.y[net.pipe_to]) < 1e-9
+    column = np.round((net.x[net.pipe_from] + net.x[net.pipe_to]) / (2 * R)).astype(int) // 2
+    strong = np.where(column % 2 == 0, 9.0, 1.0)
+    tensor = permeability(net, scaled(net, np.where(along_x, strong, 1.0)), viscosity=1.0)
+    assert tensor[0, 0] * 24 * R == pytest.approx(2 / (1 + 1 / 9), rel=0.03)
+    assert tensor[1, 1] * 24 * R == pytest.approx(1.0, rel=1e-9)
+    assert tensor[0, 1] == pytest.approx(0, abs=1e-9 * tensor[0, 0])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_tensors_are_symmetric_and_positive(seed):
+    net = network(random_graph(1.0, 200, seed), region=Circle(0.8))
+    factor = np.exp(np.random.default_rng(seed).normal(0, 2, len(net.pipe_from)))
+    tensor = permeability(net, scaled(net, factor), viscosity=1.0)
+    np.testing.assert_array_equal(tensor, tensor.T)
+    assert np.all(np.linalg.eigvalsh(tensor) > 0)
+
+
+@pytest.mark.parametrize("angle", [0.4, math.pi / 2, 2.0])
+def test_the_tensor_turns_with_the_rock(angle):
+    packing = random_graph(1.0, 250, 3)
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    x, y = turn @ np.array([packing.x, packing.y])
+    here, there = (
+        unit_permeability(network(p, region=Circle(0.8)))
+        for p in (packing, packing._replace(x=x, y=y))
+    )
+    np.testing.assert_allclose(there, turn @ here @ turn.T, rtol=1e-9, atol=1e-9 * here[0, 0])
+
+
+def test_it_turns_with_fractures_too():
+    packing = random_graph(1.0, 250, 3)
+    angle = 0.7
+    turn = np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
+    x, y = turn @ np.array([packing.x, packing.y])
+    ends = np.array([(-0.5, -0.2), (1.2, 0.3)])
+    tensors = []
+    for rock, (start, end) in ((packing, ends), (packing._replace(x=x, y=y), ends @ turn.T)):
+        trace = Trace(name="t", aperture=3e-5, start=tuple(start), end=tuple(end))
+        made = reservoir(rock, Circle(0.8), 1e-5, (trace,))
+        tensors.append(permeability(made.network, made.apertures, viscosity=1e-3))
+    here, there = tensors
+    assert here[0, 0] > 1.2 * here[1, 1]
+    np.testing.assert_allclose(there, turn @ here @ turn.T, rtol=1e-7, atol=1e-7 * here[0, 0])
+
+
+def test_opening_any_pipe_never_lowers_it():
+    """Rayleigh's law: the dissipation at given rim pressures grows with every conductance.
+
+    The outer halves of cut pipes are left out of it, so that it holds but for a small part.
+    """
+    net = network(random_graph(1.0, 200, 5), region=Circle(0.8))
+    rng = np.random.default_rng(5)
+    factor = np.exp(rng.normal(0, 1, len(net.pipe_from)))
+    uncut = np.setdiff1d(np.arange(len(factor)), net.cut)
+    before = permeability(net, scaled(net, factor), viscosity=1.0)
+    grew = 0
+    for pipe in rng.choice(uncut, 20, replace=False):
+        more = factor.copy()
+        more[pipe] *= 10
+        after = permeability(net, scaled(net, more), viscosity=1.0)
+        least, most = np.linalg.eigvalsh(after - before)
+        assert least >= -0.02 * most
+        grew += most > 0
+    assert grew > 15  # a pipe into a dead end changes nothing
+
+
+def test_it_does_not_depend_on_the_fluid_and_goes_with_the_cube_of_the_aperture():
+    net = network(random_graph(1.0, 200, 2), region=Rectangle(1.5, 1.2))
+    unit = unit_permeability(net)
+    for w, viscosity in ((1e-5, 1e-3), (3e-4, 0.7)):
+        found = permeability(net, uniform(net, w, viscosity), viscosity=viscosity)
+        np.testing.assert_allclose(found, w**3 * unit, rtol=1e-11)
+
+
+def test_a_fracture_across_the_region_adds_its_own_share():
+    """A trace along x between rims: k_xx grows by T μ / height in a nearly sealed matrix."""
+    region = Rectangle(1.6, 1.0)
+    trace = Trace(name="t", aperture=1e-4, start=(-1.5, 0.02), end=(1.5, 0.02))
+    made = reservoir(random_graph(1.2, 500, 4), region, 1e-8, (trace,))
+    tensor = permeability(made.network, made.apertures, viscosity=1e-3)
+    expected = 1e-12 / 12 * 1.6 / made.network.area[made.network.inside].sum()
+    assert tensor[0, 0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_sealed_rock_has_no_permeability_to_measure():
+    made = reservoir(square_lattice(1.0, R), Circle(0.7), 0.0)
+    with pytest.raises(ModelError, match="no conducting pipe"):
+        permeability(made.network, made.apertures, viscosity=1e-3)
+
+
+def test_a_single_pore_has_none_either():
+    three = packing_of(
+        [0, 1, 0.5], [0, 0, math.sqrt(3) / 2], [0.5] * 3, [(0, 1), (1, 2), (0, 2)]
+    )
+    with pytest.raises(ModelError, match="no conducting pipe"):
+        unit_permeability(network(three, region=Circle(5.0)))
+
+
+def test_parts_that_no_pressure_reaches_do_no_harm():
+    """A ring of sealed pipes around the middle: the rest goes on conducting."""
+    net = network(square_lattice(1.0, R), region=Rectangle(1.5, 1.5))
+    p, q = (np.maximum(np.abs(net.x[d]), np.abs(net.y[d])) < 0.2 for d in
+            (net.pipe_from, net.pipe_to))
+    tensor = permeability(net, scaled(net, np.where(p != q, 0.0, 1.0)), viscosity=1.0) * 24 * R
+    assert np.all(np.isfinite(tensor))
+    assert 0.8 < tensor[0, 0] < 0.99
+    assert tensor[0, 0] == pytest.approx(tensor[1, 1], rel=1e-9)
+
+
+def test_conductances_are_those_of_plates():
+    """k from a single pore column by hand: g 2R / (cells side by side · depth)."""
+    net = network(square_lattice(1.0, R), region=Rectangle(1.5, 1.5))
+    g = pipe_conductance(np.array([1e-4]), np.array([2 * R]), 1e-3)[0]
+    tensor = permeability(net, uniform(net, 1e-4, 1e-3), viscosity=1e-3)
+    assert tensor[0, 0] == pytest.approx(g * 1e-3, rel=1e-12)

@@ -1,0 +1,258 @@
+"""Scenes: bounds, contradictions, all of them at once, and what follows from the parts."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from model import scene as parts
+from model.parameters import SceneError
+from model.region import Circle, Polygon, Rectangle
+from model.scene import (
+    OBSERVABLES,
+    BiWing,
+    Bonds,
+    Fluid,
+    FractureSet,
+    Grains,
+    Matrix,
+    Probe,
+    Scene,
+    Solver,
+    Stress,
+    Trace,
+    Well,
+)
+
+GOOD = {
+    Rectangle: {"width": 2.0, "height": 1.0},
+    Circle: {"radius": 1.0},
+    Grains: {"count": 100, "porosity": 0.17, "modulus": 2e10},
+    Bonds: {"kind": "parallel", "tensile_strength": 1e7, "shear_strength": 1e7},
+    Stress: {"xx": 2e7, "yy": 1e7},
+    Matrix: {"aperture": 1e-5},
+    Fluid: {"viscosity": 1e-3, "bulk_modulus": 1e9},
+    BiWing: {"name": "b", "aperture": 1e-4, "at": (0.0, 0.0), "angle": 0.1, "half_length": 0.2},
+    FractureSet: {"name": "s", "aperture": 1e-4, "angle": 0.1, "length": 0.2, "spacing": 0.1},
+    Trace: {"name": "t", "aperture": 1e-4, "start": (-0.3, 0.0), "end": (0.3, 0.1)},
+    Well: {"name": "w", "at": (0.1, 0.1), "radius": 0.05, "rate": 1e-6},
+    Solver: {},
+}
+
+
+def good(**changed):
+    given = {
+        "region": Circle(1.0),
+        "grains": Grains(**GOOD[Grains]),
+        "matrix": Matrix(aperture=1e-5),
+        "fluid": Fluid(1e-3, 1e9),
+        "observe": ("well_pressure",),
+        "wells": (Well(**GOOD[Well]),),
+        "boundaries": (("outer", 1e6),),
+        "initial_pressure": 1e6,
+        "times": (1.0, 10.0),
+    }
+    return Scene(**{**given, **changed})
+
+
+def problems(make):
+    with pytest.raises(SceneError) as caught:
+        make()
+    return dict(caught.value.problems)
+
+
+def bounded():
+    for made in GOOD:
+        for declared in dataclasses.fields(made):
+            meta = declared.metadata
+            for kind in ("above", "at_least", "below", "at_most"):
+                if meta and meta[kind] is not None:
+                    yield pytest.param(
+                        made, declared, kind, id=f"{made.__name__}.{declared.name} {kind}"
+                    )
+
+
+@pytest.mark.parametrize("made", GOOD)
+def test_the_good_examples_are_good_and_frozen(made):
+    instance = made(**GOOD[made])
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(instance, dataclasses.fields(made)[0].name, 1.0)
+    assert instance == made(**GOOD[made])
+    assert hash(instance) == hash(made(**GOOD[made]))
+
+
+@pytest.mark.parametrize(("made", "declared", "kind"), list(bounded()))
+def test_every_bound_holds_at_its_edge_and_beyond(made, declared, kind):
+    edge = declared.metadata[kind]
+    step = 1 if isinstance(edge, int) and "int" in str(declared.type) else 1e-9 * max(abs(edge), 1)
+    bad = {"above": edge, "at_least": edge - step, "below": edge, "at_most": edge + step}[kind]
+    name = declared.metadata["key"] or declared.name
+    assert name in problems(lambda: made(**{**GOOD[made], declared.name: bad}))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    ("made", "name"),
+    [
+        (made, declared.name)
+        for made in GOOD
+        for declared in dataclasses.fields(made)
+        if declared.metadata and declared.type in ("float", "float | None")
+    ],
+)
+def test_numbers_are_finite(made, name, bad):
+    assert problems(lambda: made(**{**GOOD[made], name: bad}))
+
+
+@pytest.mark.parametrize("number", [np.float64, np.float32, np.int64])
+def test_bounds_hold_for_numbers_of_numpy_too(number):
+    assert problems(lambda: Grains(count=number(0), porosity=0.17))
+    assert problems(lambda: Circle(number(-1)))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_points_are_finite(bad):
+    assert problems(lambda: BiWing(**{**GOOD[BiWing], "at": (bad, 0.0)}))
+    assert problems(lambda: Trace(**{**GOOD[Trace], "end": (0.0, bad)}))
+    assert problems(lambda: good(probes=(Probe("p", (bad, 0.0)),)))
+    assert problems(lambda: good(wells=(Well(**{**GOOD[Well], "at": (bad, 0.0)}),)))
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_pressures_and_times_are_finite(bad):
+    assert "initial_pressure" in problems(lambda: good(initial_pressure=bad))
+    assert "boundaries.outer" in problems(lambda: good(boundaries=(("outer", bad),)))
+    assert "times" in problems(lambda: good(times=(1.0, bad)))
+
+
+def test_choices_are_words_from_a_list():
+    assert "packing" in problems(lambda: Grains(count=9, packing="cubic"))
+    assert "kind" in problems(lambda: Bonds("glue", 1.0, 1.0))
+    assert "method" in problems(lambda: Solver(method="magic"))
+
+
+@pytest.mark.parametrize(
+    ("changed", "path"),
+    [
+        ({"observe": ()}, "observe"),
+        ({"observe": ("colour",)}, "observe"),
+        ({"wells": ()}, "observe"),
+        ({"observe": ("probe_pressure",)}, "observe"),
+        ({"observe": ("boundary_flow",), "boundaries": ()}, "observe"),
+        ({"observe": ("pressure_map",), "wells": (), "boundaries": ()}, "wells"),
+        ({"wells": (Well(**{**GOOD[Well], "at": (2.0, 0.0)}),)}, "wells.w.at"),
+        (
+            {"wells": (Well(**GOOD[Well]), Well(**{**GOOD[Well], "name": "v"}))},
+            "wells.v.at",
+        ),
+        ({"wells": (Well(**GOOD[Well]),) * 2}, "wells.w"),
+        ({"probes": (Probe("far", (9.0, 0.0)),)}, "probes.far.at"),
+        ({"boundaries": (("left", 1.0),)}, "boundaries.left"),
+        ({"boundaries": (("outer", 1.0), ("outer", 2.0))}, "boundaries.outer"),
+        ({"times": ()}, None),
+        ({"times": (0.0, 1.0)}, "times"),
+        ({"times": (2.0, 1.0)}, "times"),
+        ({"times": (1.0, 1.0)}, "times"),
+        ({"times": (), "solver": Solver(method="krylov")}, "times"),
+        ({"initial_pressure": None}, "initial_pressure"),
+        ({"boundaries": (), "solver": Solver(method="steady")}, "boundaries"),
+        (
+            {
+                "wells": (
+                    Well(name="w", at=(0, 0), radius=0.1, schedule=((0.0, 1.0), (1.0, 0.0))),
+                ),
+                "solver": Solver(method="steady"),
+            },
+            "wells.w.schedule",
+        ),
+        ({"stress": Stress(1.0, 1.0), "grains": Grains(count=9, porosity=0.17)}, "grains.modulus"),
+        ({"bonds": Bonds("contact", 1.0, 1.0)}, "bonds"),
+        ({"matrix": Matrix(aperture=1e-5, half_force=1e6)}, "matrix.half_force"),
+        (
+            {
+                "grains": Grains(count=9, packing="square", modulus=1e9),
+                "stress": Stress(1.0, 1.0),
+            },
+            "stress",
+        ),
+    ],
+)
+def test_contradictions_are_named_by_their_path(changed, path):
+    if path is None:
+        assert good(**changed).method == "steady"
+    else:
+        assert path in problems(lambda: good(**changed))
+
+
+def test_all_contradictions_are_told_at_once():
+    found = problems(
+        lambda: good(
+            observe=("colour",),
+            times=(3.0, 2.0),
+            probes=(Probe("far", (9.0, 0.0)),),
+            boundaries=(("left", 1.0),),
+            bonds=Bonds("contact", 1.0, 1.0),
+        )
+    )
+    assert set(found) >= {"observe", "times", "probes.far.at", "boundaries.left", "bonds"}
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Grains(porosity=0.17),
+        lambda: Grains(count=9, mean_radius=1.0, porosity=0.17),
+        lambda: Grains(count=9),
+        lambda: Grains(count=9, packing="square", porosity=0.17),
+        lambda: Grains(count=9, porosity=0.17, modulus=1.0, normal_stiffness=1.0),
+        lambda: Grains(count=9, porosity=0.5),
+        lambda: Matrix(),
+        lambda: Matrix(permeability=1e-15, aperture=1e-5),
+        lambda: Trace(name="t", start=(0, 0), end=(1, 1)),
+        lambda: Trace(name="t", aperture=1e-4, permeability=1e-12, start=(0, 0), end=(1, 1)),
+        lambda: Trace(name="t", aperture=1e-4, start=(0.5, 0.5), end=(0.5, 0.5)),
+        lambda: Well(name="w", at=(0, 0), radius=1.0),
+        lambda: Well(name="w", at=(0, 0), radius=1.0, rate=1.0, pressure=1.0),
+        lambda: Well(name="w", at=(0, 0), radius=1.0, schedule=()),
+        lambda: Well(name="w", at=(0, 0), radius=1.0, schedule=((1.0, 1.0), (1.0, 2.0))),
+        lambda: Well(name="w", at=(0, 0), radius=1.0, schedule=((-1.0, 1.0),)),
+        lambda: Well(name="w", at=(0, 0), radius=1.0, schedule=((0.0, math.nan),)),
+    ],
+)
+def test_parts_that_contradict_themselves(make):
+    assert problems(make)
+
+
+def test_auto_is_decided_by_the_times():
+    assert good().method == "krylov"
+    assert good(times=()).method == "steady"
+    assert good(solver=Solver(method="explicit")).method == "explicit"
+
+
+def test_only_flow_outputs_need_flow():
+    assert good().flows
+    for name in OBSERVABLES:
+        made = good(observe=(name,), probes=(Probe("p", (0.0, 0.0)),))
+        assert made.flows == (name not in ("permeability", "grain_map"))
+    assert not good(observe=("permeability",), times=(), wells=(), boundaries=()).flows
+
+
+def test_stiffness_is_twice_the_modulus_or_as_given():
+    assert Grains(count=9, porosity=0.17, modulus=1e10).contact_stiffness == 2e10
+    assert Grains(count=9, porosity=0.17, normal_stiffness=7.0).contact_stiffness == 7.0
+    assert Grains(count=9, porosity=0.17).contact_stiffness is None
+
+
+def test_scenes_are_values():
+    assert good() == good()
+    assert hash(good()) == hash(good())
+    assert good() != good(times=(1.0, 11.0))
+
+
+def test_every_parameter_says_what_it_is():
+    for made in GOOD:
+        for declared in dataclasses.fields(made):
+            if declared.name != "name":
+                assert declared.metadata["help"], (made, declared.name)
+    assert set(parts.__all__) >= {made.__name__ for made in GOOD}

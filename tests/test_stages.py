@@ -1,0 +1,368 @@
+"""The stages as a whole: purity, what each reads, what is run, what a case reports."""
+
+import dataclasses
+import inspect
+import math
+
+import numpy as np
+import pytest
+
+import model
+from model import stages
+from model.outcome import ModelError
+from model.quantities import CASE, MAPS
+from model.region import Circle, Polygon, Rectangle
+from model.scene import (
+    OBSERVABLES,
+    BiWing,
+    Fluid,
+    FractureSet,
+    Grains,
+    Matrix,
+    Probe,
+    Scene,
+    Solver,
+    Stress,
+    Trace,
+    Well,
+)
+from model.stages import STAGES, case_maps, run_stages, simulate
+
+BY_NAME = {stage.name: stage for stage in STAGES}
+GRAINS = Grains(count=150, porosity=0.17, modulus=2e10)
+SCENE = Scene(
+    region=Circle(1.0),
+    grains=GRAINS,
+    matrix=Matrix(permeability=1e-14, half_force=5e6),
+    fluid=Fluid(1e-3, 1e9),
+    observe=OBSERVABLES,
+    stress=Stress(1.2e7, 1e7),
+    fractures=(
+        BiWing(name="wings", aperture=1e-4, at=(0.0, 0.0), angle=0.2, half_length=0.5),
+        FractureSet(name="set", permeability=1e-12, angle=1.1, length=0.5, spacing=0.4),
+    ),
+    wells=(
+        Well(name="w", at=(0.0, 0.0), radius=0.15, rate=1e-6),
+        Well(name="v", at=(0.6, 0.3), radius=0.1, schedule=((2.0, 1e-6), (20.0, 0.0))),
+    ),
+    boundaries=(("outer", 7e6),),
+    probes=(Probe("p", (0.3, -0.3)),),
+    initial_pressure=7e6,
+    times=(1.0, 10.0, 100.0),
+)
+LATTICE = Scene(
+    region=Rectangle(2.0, 1.4),
+    grains=Grains(count=200, packing="hexagonal"),
+    matrix=Matrix(aperture=1e-5),
+    fluid=Fluid(1e-3, 1e9),
+    observe=("permeability",),
+)
+PRODUCTS = run_stages(SCENE)
+SEEN = PRODUCTS["observe"]
+
+
+def changed(**fields):
+    return dataclasses.replace(SCENE, **fields)
+
+
+def test_same_scene_same_bits():
+    again = simulate(SCENE)
+    assert set(again) == set(SEEN)
+    for name, value in SEEN.items():
+        np.testing.assert_array_equal(again[name], value, err_msg=name)
+    assert model.simulate is simulate
+
+
+def test_products_are_not_written_to_by_later_stages():
+    """Each stage run anew from the stored products gives what it gave before."""
+    for stage in STAGES:
+        parents = [PRODUCTS.get(name) for name in stage.parents]
+        again = stage.run(*parents, **{k: part(SCENE) for k, part in stage.reads.items()})
+        fields = again if isinstance(again, dict) else again._asdict()
+        before = PRODUCTS[stage.name]
+        before = before if isinstance(before, dict) else before._asdict()
+        for name, value in fields.items():
+            np.testing.assert_array_equal(value, before[name], err_msg=f"{stage.name}.{name}")
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
+def test_what_a_stage_reads_is_what_it_can_be_given(stage):
+    """Positional arguments are the parents' products, keyword arguments the scene's parts."""
+    parameters = inspect.signature(stage.run).parameters.values()
+    keyword = {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
+    positional = [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]
+    assert keyword == set(stage.reads)
+    assert len(positional) == len(stage.parents)
+    assert len(keyword) + len(positional) == len(parameters)
+    assert stage.version >= 1
+
+
+def test_parents_come_first():
+    names = [stage.name for stage in STAGES]
+    assert len(set(names)) == len(names)
+    for k, stage in enumerate(STAGES):
+        assert set(stage.parents) <= set(names[:k])
+
+
+@pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
+def test_products_are_named_arrays(stage):
+    product = PRODUCTS[stage.name]
+    assert isinstance(product, stage.product)
+    for value in (product if isinstance(product, dict) else product._asdict()).values():
+        assert isinstance(value, np.ndarray)
+        assert value.dtype.kind in "fib"
+
+
+READS = {
+    "pack": {"region", "grains.count", "grains.seed", "grains.porosity", "grains.radius_ratio"},
+    "stress": {"stress", "grains.modulus", "grains.friction", "grains.stiffness_ratio"},
+    "network": {"region"},
+    "calibrate": set(),
+    "open": {"region", "matrix", "fractures", "viscosity"},
+    "measure": {"viscosity"},
+    "flow": {"region", "bulk_modulus", "well.radius", "times", "solver", "probes", "observe"},
+    "observe": {"region", "well.rate", "well.radius", "times", "boundary", "initial", "observe"},
+}
+
+
+def variants():
+    grains = {
+        "count": 151, "seed": 2, "porosity": 0.18, "radius_ratio": 1.7, "modulus": 3e10,
+        "friction": 0.6, "stiffness_ratio": 2.0, "density": 2700.0,
+    }
+    for name, value in grains.items():
+        yield f"grains.{name}", changed(grains=dataclasses.replace(GRAINS, **{name: value}))
+    well = SCENE.wells[0]
+    yield "region", changed(region=Circle(1.05))
+    yield "stress", changed(stress=Stress(1.1e7, 1e7))
+    yield "matrix", changed(matrix=Matrix(permeability=2e-14, half_force=5e6))
+    yield "fractures", changed(fractures=())
+    yield "viscosity", changed(fluid=Fluid(2e-3, 1e9))
+    yield "bulk_modulus", changed(fluid=Fluid(1e-3, 2e9))
+    yield "well.rate", changed(wells=(dataclasses.replace(well, rate=3e-6), SCENE.wells[1]))
+    yield "well.radius", changed(wells=(dataclasses.replace(well, radius=0.16), SCENE.wells[1]))
+    yield "boundary", changed(boundaries=(("outer", 7e6),), initial_pressure=7e6, times=SCENE.times)
+    yield "times", changed(times=(1.0, 11.0))
+    yield "solver", changed(solver=Solver(tolerance=1e-5))
+    yield "probes", changed(probes=(Probe("p", (0.3, -0.31)),))
+    yield "observe", changed(observe=("well_pressure",))
+
+
+@pytest.mark.parametrize(("what", "other"), list(variants()), ids=lambda v: v if isinstance(v, str) else "")
+def test_a_parameter_reaches_the_stages_that_need_it_and_no_other(what, other):
+    """The inputs of every stage, before and after one parameter changed."""
+    for stage in STAGES:
+        here = {k: part(SCENE) for k, part in stage.reads.items()}
+        there = {k: part(other) for k, part in stage.reads.items()}
+        expected = what in READS[stage.name] and what != "boundary"
+        if stage.name == "observe" and what == "probes":
+            expected = False
+        assert (here != there) == expected, (stage.name, what)
+
+
+def test_rates_share_one_transient():
+    """A sweep over rates and pressures of the boundary changes no input of the flow stage."""
+    flow = BY_NAME["flow"]
+    other = changed(
+        wells=(dataclasses.replace(SCENE.wells[0], rate=-5e-6), SCENE.wells[1]),
+        initial_pressure=5e6,
+        boundaries=(("outer", 5e6),),
+    )
+    for part in flow.reads.values():
+        assert part(SCENE) == part(other)
+
+
+@pytest.mark.parametrize(
+    ("scene", "runs"),
+    [
+        (LATTICE, {"pack", "network", "open", "measure", "observe"}),
+        (
+            dataclasses.replace(LATTICE, matrix=Matrix(permeability=1e-14)),
+            {"pack", "network", "calibrate", "open", "measure", "observe"},
+        ),
+        (
+            dataclasses.replace(LATTICE, observe=("grain_map",)),
+            {"pack", "network", "open", "observe"},
+        ),
+        (
+            dataclasses.replace(
+                LATTICE, observe=("boundary_flow",), boundaries=(("left", 1.0), ("right", 0.0))
+            ),
+            {"pack", "network", "open", "flow", "observe"},
+        ),
+        (SCENE, {stage.name for stage in STAGES}),
+    ],
+)
+def test_only_what_a_scene_needs_is_run(scene, runs):
+    assert set(run_stages(scene)) == runs == {s.name for s in STAGES if s.wanted(scene)}
+
+
+def test_permeability_alone_runs_neither_stress_nor_flow(monkeypatch):
+    def refuse(*args, **kwargs):
+        raise AssertionError("this stage was not asked for")
+
+    idle = [
+        dataclasses.replace(s, run=refuse) if s.name in ("stress", "flow", "calibrate") else s
+        for s in STAGES
+    ]
+    monkeypatch.setattr(stages, "STAGES", tuple(idle))
+    found = simulate(LATTICE)
+    assert found["permeability"].shape == (2, 2)
+
+
+@pytest.mark.parametrize("name", OBSERVABLES)
+def test_what_is_observed_is_what_the_table_of_quantities_says(name):
+    scene = changed(observe=(name,), stress=None, matrix=Matrix(aperture=1e-5), fractures=())
+    found = simulate(scene)
+    for key in found:
+        assert key in CASE
+        assert not CASE[key].needs or name in CASE[key].needs, key
+    for key, quantity in CASE.items():
+        if name in quantity.needs:
+            assert key in found
+
+
+def test_shapes_are_those_of_the_table():
+    sizes = {
+        "well": 2, "elapsed_time": 3, "boundary": 1, "probe": 1, "row": 2, "column": 2,
+        "component": 3,
+    }
+    assert set(SEEN) == set(CASE)
+    for name, value in SEEN.items():
+        assert value.shape == tuple(sizes[d] for d in CASE[name].dimensions), name
+    steady = dataclasses.replace(
+        SCENE, times=(), wells=SCENE.wells[:1], stress=None, matrix=Matrix(aperture=1e-5)
+    )
+    for name, value in simulate(steady).items():
+        shape = tuple(
+            1 if d == "well" else sizes[d] for d in CASE[name].dimensions if d != "elapsed_time"
+        )
+        assert value.shape == shape, name
+
+
+def test_numbers_of_a_case_are_sound():
+    assert SEEN["mass_balance_error"] <= 1e-10
+    assert SEEN["porosity"] == pytest.approx(0.17, abs=0.02)
+    assert SEEN["grain_count"] == pytest.approx(150, rel=0.1)
+    assert SEEN["domain_count"] == PRODUCTS["network"].inside.sum()
+    np.testing.assert_allclose(SEEN["stress_achieved"][:2], [1.2e7, 1e7], rtol=0.02)
+    np.testing.assert_array_equal(SEEN["permeability"], SEEN["permeability"].T)
+    assert np.all(SEEN["well_pressure"] < 7e6 + 1)
+
+
+def test_maps_are_named_and_shaped_as_the_table_says():
+    maps = case_maps(SCENE, PRODUCTS)
+    sizes = {
+        "domain": int(SEEN["domain_count"]),
+        "pipe": len(maps["aperture"]),
+        "grain": len(PRODUCTS["pack"].x),
+        "contact": len(PRODUCTS["stress"].contact_a),
+        "elapsed_time": 3,
+    }
+    for name, quantity in MAPS.items():
+        assert maps[name].shape == tuple(sizes[d] for d in quantity.dimensions), name
+    assert maps["from_domain"].min() >= 0
+    assert maps["to_domain"].min() == -1
+    assert maps["to_domain"].max() < sizes["domain"]
+    assert set(np.unique(maps["on_fracture"])) == {-1, 0, 1}
+    # polygons: shoelace over the mesh gives the areas of the domains
+    faces = maps["mesh_face_nodes"]
+    x, y = maps["mesh_node_x"], maps["mesh_node_y"]
+    net = PRODUCTS["network"]
+    for face, area in zip(faces, net.area[net.inside], strict=True):
+        corners = face[face >= 0]
+        px, py = x[corners], y[corners]
+        shoelace = 0.5 * np.sum(px * np.roll(py, -1) - np.roll(px, -1) * py)
+        assert shoelace == pytest.approx(area, rel=1e-9)
+
+
+def test_the_map_of_a_well_has_the_well_s_pressure():
+    maps = case_maps(SCENE, PRODUCTS)
+    in_well = np.hypot(maps["x"], maps["y"]) < 0.15
+    assert in_well.any()
+    np.testing.assert_allclose(
+        maps["pressure"][:, in_well],
+        np.broadcast_to(SEEN["well_pressure"][0][:, None], (3, in_well.sum())),
+    )
+
+
+@pytest.mark.parametrize(
+    "region", [Circle(1.0), Rectangle(2.0, 1.4), Polygon(((-1, -0.8), (1, -0.7), (0.2, 0.9)))]
+)
+@pytest.mark.parametrize(("packing", "factor"), [("square", 1.0), ("hexagonal", 1 / math.sqrt(3))])
+def test_lattices_through_the_whole_model(region, packing, factor):
+    scene = dataclasses.replace(
+        LATTICE, region=region, grains=Grains(mean_radius=0.05, packing=packing)
+    )
+    found = simulate(scene)
+    k = 1e-15 / (24 * 0.05) * factor
+    np.testing.assert_allclose(found["permeability"] / k, np.eye(2), atol=1e-10)
+    porosity = {"square": 1 - math.pi / 4, "hexagonal": 1 - math.pi / (2 * math.sqrt(3))}[packing]
+    assert found["porosity"] == pytest.approx(porosity, rel=1e-10)
+
+
+def test_a_wanted_permeability_is_met_in_the_unstressed_state():
+    scene = dataclasses.replace(
+        LATTICE, matrix=Matrix(permeability=3e-15), grains=Grains(count=150, porosity=0.17)
+    )
+    assert 0.5 * np.trace(simulate(scene)["permeability"]) == pytest.approx(3e-15, rel=1e-10)
+
+
+def test_stress_closes_apertures_across_it_more_than_along():
+    """σ_xx presses on contacts along x, whose pipes run along y."""
+    loaded = dataclasses.replace(
+        SCENE,
+        observe=("permeability",),
+        fractures=(),
+        grains=Grains(count=600, porosity=0.165, modulus=2e10, seed=3),
+        matrix=Matrix(aperture=1e-5, half_force=5e6, gap_factor=0.0),
+        stress=Stress(1.5e7, 1e7),
+    )
+    free = dataclasses.replace(
+        loaded, stress=None, matrix=Matrix(aperture=1e-5, gap_factor=0.0)
+    )
+    k, k0 = simulate(loaded)["permeability"], simulate(free)["permeability"]
+    assert np.trace(k) < 0.9 * np.trace(k0)
+    assert k[0, 0] / k0[0, 0] > k[1, 1] / k0[1, 1]
+
+
+@pytest.mark.parametrize("traces", [1, 2])
+def test_a_trace_in_a_sealed_rock_through_the_whole_model(traces):
+    """The pack, cut, open and flow stages together keep the cubic law on a real packing."""
+    lines = [((-2.0, 0.1), (2.0, -0.3)), ((-2.0, -0.4), (2.0, -0.45))][:traces]
+    scene = Scene(
+        region=Rectangle(2.0, 1.4),
+        grains=Grains(count=400, porosity=0.17),
+        matrix=Matrix(aperture=0.0),
+        fluid=Fluid(1e-3, 1e9),
+        observe=("boundary_flow",),
+        fractures=tuple(
+            Trace(name=f"{k}", aperture=1e-4, start=a, end=b) for k, (a, b) in enumerate(lines)
+        ),
+        boundaries=(("left", 1.0), ("right", 0.0)),
+    )
+    found = simulate(scene)
+    expected = sum(1e-12 / 12e-3 / (math.dist(a, b) / 2) for a, b in lines)
+    np.testing.assert_allclose(found["boundary_flow"], [expected, -expected], rtol=1e-9)
+    assert found["isolated_domains"] > 100
+
+
+def test_what_cannot_be_is_said_in_words():
+    tiny = dataclasses.replace(LATTICE, matrix=Matrix(aperture=0.0))
+    with pytest.raises(ModelError, match="no conducting pipe"):
+        simulate(tiny)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("packing", ["random", "square", "hexagonal"])
+def test_very_few_grains_work_or_say_why_not(count, packing):
+    scene = dataclasses.replace(
+        LATTICE,
+        grains=Grains(count=count, packing=packing, porosity=0.17 if packing == "random" else None),
+    )
+    try:
+        found = simulate(scene)
+    except ModelError as error:
+        assert "grains" in str(error)
+    else:
+        assert np.all(np.isfinite(found["permeability"]))
