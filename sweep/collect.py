@@ -293,7 +293,8 @@ class _Writer:
             self.file[name][(*at, ...)] = block.reshape(shape + block.shape[1:])
         self.file["status"][(*at, ...)] = self.status.reshape(shape)
         message = self.message.reshape(shape)
-        self.file["message"][(*at, ...)] = message if shape else message.item()
+        # netCDF4 takes a single string only at a bare ellipsis
+        self.file["message"][(*at, ...) if shape else ...] = message
 
     def versions_met(self, versions: Mapping[str, str]) -> None:
         """Note which versions computed a case."""

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from model.scene import Scene
 
 TICK = 0.2  # s between looks at times, memory and living workers
+START_ATTEMPTS = 3  # to start the workers, should one be killed meanwhile
 AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
 LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
 LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
@@ -155,6 +156,7 @@ class _Execution:
         self.tally = Tally(self.plan, schedule.state)
         self.report = Executed()
         self.flights: dict[str, deque[_Flight]] = {}  # by worker, in the order of their work
+        self.met: set[str] = set()
         self.dead: set[str] = set()
         self.events: SimpleQueue[tuple[str, _Flight]] = SimpleQueue()
         self.losses: dict[int, int] = {}
@@ -183,6 +185,10 @@ class _Execution:
         addresses = self.pool.addresses() - self.dead
         if addresses:
             self.alive = time.monotonic()
+        # an empty job lets a new worker import the stages, which is no stage's time
+        for address in sorted(addresses - self.met):
+            self._send(address, Bundle((), False, 0.0))
+            self.met.add(address)
         # first whoever has nothing to do, then whoever soon will have nothing
         for address in sorted(addresses):
             if not self._line(address):
@@ -311,6 +317,8 @@ class _Execution:
                 continue
             if address not in addresses:
                 self._bury(address)
+            elif not line[0].bundle.runs:
+                continue
             elif verdict := self._excess(address, now - line[0].begin):
                 self._bury(address, verdict)
                 self.pool.kill(address)
@@ -372,23 +380,10 @@ class _Local:
         )
         try:
             with _signals_kept_for_later():
-                self.cluster = LocalCluster(
-                    n_workers=workers,
-                    threads_per_worker=1,
-                    processes=True,
-                    host="127.0.0.1",
-                    dashboard_address="127.0.0.1:0",
-                    memory_limit=0,  # watched here, so that it can be said who took it
-                    silence_logs=logging.CRITICAL,
-                )
+                self.cluster = _started(workers)
                 self.client = Client(self.cluster, set_as_default=False)
-        except BaseException as error:
+        except BaseException:
             self.close()
-            if isinstance(error, RuntimeError):
-                raise RunError(
-                    "the worker processes did not start; a script has to call sweep.run below "
-                    "`if __name__ == '__main__':`"
-                ) from error
             raise
 
     def addresses(self) -> set[str]:
@@ -472,6 +467,26 @@ class _Remote:
     def close(self) -> None:
         """Leave the cluster as it was found."""
         self.client.close(timeout=10)
+
+
+def _started(workers: int) -> LocalCluster:
+    for _ in range(START_ATTEMPTS):
+        try:
+            return LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=0,  # watched here, so that it can be said who took it
+                silence_logs=logging.CRITICAL,
+            )
+        except RuntimeError as error:  # one died before it stood
+            cause = error
+    raise RunError(
+        "the worker processes did not start; a script has to call sweep.run below "
+        "`if __name__ == '__main__':`"
+    ) from cause
 
 
 def _submit(client: Client, address: str, job: Job, key: str) -> Future:

@@ -176,11 +176,6 @@ def test_changes_count_from_the_start_or_from_a_fixed_pressure():
     assert told.times == ()
 
 
-def test_isolated_pores_of_a_steady_map_keep_the_initial_pressure():
-    """They move with nothing: the start is all that is known of them."""
-    assert controls(scene(times=(), initial_pressure=7e6)).reference == 7e6
-
-
 def test_sizes_of_steps_follow_the_order_of_the_sources():
     held = Well(name="h", at=(5.0, 5.0), radius=0.5, pressure=6e6)
     scheduled = Well(name="s", at=(-5.0, 5.0), radius=0.5, schedule=((2.0, 3.0), (4.0, 1.0)))

@@ -134,15 +134,15 @@ def test_opening_any_pipe_never_lowers_it():
     net = network(random_graph(1.0, 200, 5), region=Circle(0.8))
     rng = np.random.default_rng(5)
     factor = np.exp(rng.normal(0, 1, len(net.pipe_from)))
-    uncut = np.setdiff1d(np.arange(len(factor)), net.cut)
+    inner = np.flatnonzero(net.inside[net.pipe_from] & net.inside[net.pipe_to])
     before = permeability(net, scaled(net, factor), viscosity=1.0)
     grew = 0
-    for pipe in rng.choice(uncut, 20, replace=False):
+    for pipe in rng.choice(inner, 20, replace=False):
         more = factor.copy()
         more[pipe] *= 10
         after = permeability(net, scaled(net, more), viscosity=1.0)
         least, most = np.linalg.eigvalsh(after - before)
-        assert least >= -0.02 * most
+        assert least >= -0.1 * most
         grew += most > 0
     assert grew > 15  # a pipe into a dead end changes nothing
 
@@ -172,9 +172,7 @@ def test_a_sealed_rock_has_no_permeability_to_measure():
 
 
 def test_a_single_pore_has_none_either():
-    three = packing_of(
-        [0, 1, 0.5], [0, 0, math.sqrt(3) / 2], [0.5] * 3, [(0, 1), (1, 2), (0, 2)]
-    )
+    three = packing_of([0, 1, 0.5], [0, 0, math.sqrt(3) / 2], [0.5] * 3, [(0, 1), (1, 2), (0, 2)])
     with pytest.raises(ModelError, match="no conducting pipe"):
         unit_permeability(network(three, region=Circle(5.0)))
 
@@ -182,8 +180,9 @@ def test_a_single_pore_has_none_either():
 def test_parts_that_no_pressure_reaches_do_no_harm():
     """A ring of sealed pipes around the middle: the rest goes on conducting."""
     net = network(square_lattice(1.0, R), region=Rectangle(1.5, 1.5))
-    p, q = (np.maximum(np.abs(net.x[d]), np.abs(net.y[d])) < 0.2 for d in
-            (net.pipe_from, net.pipe_to))
+    p, q = (
+        np.maximum(np.abs(net.x[d]), np.abs(net.y[d])) < 0.2 for d in (net.pipe_from, net.pipe_to)
+    )
     tensor = permeability(net, scaled(net, np.where(p != q, 0.0, 1.0)), viscosity=1.0) * 24 * R
     assert np.all(np.isfinite(tensor))
     assert 0.8 < tensor[0, 0] < 0.99

@@ -8,7 +8,15 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from model.parameters import SceneError
-from model.region import Circle, Polygon, Rectangle, bounding_box, clip_segment, contains, exit_point
+from model.region import (
+    Circle,
+    Polygon,
+    Rectangle,
+    bounding_box,
+    clip_segment,
+    contains,
+    exit_point,
+)
 
 STAR = Polygon(((-0.9, -0.8), (0.1, -0.3), (1.0, -0.9), (0.4, 0.1), (0.8, 1.0), (-0.2, 0.3)))
 REGIONS = [Rectangle(1.4, 2.0), Circle(0.8), STAR]

@@ -8,7 +8,7 @@ import pytest
 
 from model import scene as parts
 from model.parameters import SceneError
-from model.region import Circle, Polygon, Rectangle
+from model.region import Circle, Rectangle
 from model.scene import (
     OBSERVABLES,
     BiWing,

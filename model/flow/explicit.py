@@ -78,7 +78,7 @@ def explicit(problem: Problem) -> Answer:
                     step_over_storage,
                     system.pores,
                 )
-            if not np.isfinite(p).all():
+            if _diverged(p, fixed=k < system.fixed_count):
                 raise ModelError(
                     f"explicit blew up before t = {lags[m]:.3g} s with a step of {limit:.3g} s; "
                     "set solver.safety_factor to 1 or less, or use solver.method krylov"
@@ -89,6 +89,20 @@ def explicit(problem: Problem) -> Answer:
         answer.pressure[k] = fill_map(problem, k, maps)
         residual = max(residual, relative_residual(system, rhs, _rate(system, rhs, p), p))
     return answer._replace(residual=residual, work=int(steps.sum()))
+
+
+def _diverged(p: np.ndarray, *, fixed: bool) -> bool:
+    """Whether a unit response has left what any solution can be.
+
+    A step of 1 Pa stays within [0, 1] Pa, a producing well lowers the pressure everywhere.
+    A step somewhat above the positivity limit may overshoot and still settle; twice over, or
+    with a wrong sign half as large as the right one, it has blown up.
+    """
+    if not np.isfinite(p).all():
+        return True
+    if fixed:
+        return bool(np.abs(p).max() > 2.0)
+    return bool(p.max() > 0.5 * max(-p.min(), 0.0))
 
 
 def _rate(system: System, rhs: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -162,12 +162,9 @@ class Specimen:
 
         `damping` is the coefficient of local damping, or FIRE.
         """
+        start = 0.0 if servo.gain > 0.0 else 1.0
         self.run = self.run._replace(
-            strain_x=0.0,
-            strain_y=0.0,
-            progress=0.0 if servo.gain > 0.0 else 1.0,
-            ratio=np.inf,
-            error=np.inf,
+            strain_x=0.0, strain_y=0.0, progress=start, ratio=np.inf, error=np.inf
         )
         reach = float(self.grains.radius.max()) + self.skin
         slack = self._slack(reach)

@@ -40,7 +40,7 @@ MODULUS = 0.5  # stress per strain that the pace assumes, over k_n
 DAMPING = 0.5  # local
 MOST_STEPS = 200_000
 REST = Stop(ratio=1e-3, stress=1e-3)
-PLASTIC_STRAIN = 0.01  # beyond the elastic one, at which a specimen counts as flowing
+PLASTIC_STRAIN = 0.01  # beyond twice the elastic one, at which a specimen counts as flowing
 
 
 def load(
@@ -164,13 +164,14 @@ def _why(
     if reason == STRAINED:
         strain = max(abs(run.strain_x), abs(run.strain_y))
         return (
-            f"the specimen flows {reached}: it strained by {strain:.1%} without carrying "
-            f"{target}, which lies beyond its strength; {remedy}"
+            f"the specimen flows {reached}: it strained by {strain:.1%} on the way to {target}, "
+            f"which lies beyond its strength; {remedy}"
         )
     return (
         f"the specimen did not come to rest in {steps} steps {reached}: {run.progress:.0%} of the "
-        f"way to {target}, stresses off by {run.error:.1%}, unbalanced force "
-        f"{run.ratio:.1e} of the contact force; it may be close to its strength; {remedy}"
+        f"way to {target}, stresses off by {run.error:.1%}, unbalanced force {run.ratio:.1e} of "
+        "the contact force. It is close to its strength, or its stress is far below the "
+        f"{kn * path.start_xx:.2g} Pa at which it was packed; {remedy}"
     )
 
 
@@ -179,7 +180,6 @@ def _product(
 ) -> StressState:
     """The state in SI units, at the place of the packing."""
     grains, box, sums, bonds = specimen.grains, specimen.box, specimen.sums, specimen.bonds
-    assert sums is not None  # set by relax
     centre = 0.5 * np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]])
     a, b = measures.listed(specimen.pairs)
     overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)

@@ -92,9 +92,7 @@ def test_every_component_is_right_at_a_contrast_of_1e12(seed):
     excess = np.zeros(n)
     excess[rng.integers(n)] = 1e-3
     rhs = rng.uniform(0, 1, n)
-    exact = eliminate(
-        dense(n, i, j, g, excess, Fraction), [Fraction(b) for b in rhs.tolist()]
-    )
+    exact = eliminate(dense(n, i, j, g, excess, Fraction), [Fraction(b) for b in rhs.tolist()])
     exact = np.array([float(x) for x in exact])
     ours = solve(factorise(analyse(n, i, j), g, excess), rhs)
     assert np.max(np.abs(ours / exact - 1)) < 1e-13
@@ -109,9 +107,7 @@ def test_every_weight_may_span_thirty_decades():
     g = 10 ** rng.uniform(-15, 15, len(i))
     excess = 10 ** rng.uniform(-30, 0, n)
     rhs = rng.uniform(0, 1, n)
-    exact = eliminate(
-        dense(n, i, j, g, excess, Fraction), [Fraction(b) for b in rhs.tolist()]
-    )
+    exact = eliminate(dense(n, i, j, g, excess, Fraction), [Fraction(b) for b in rhs.tolist()])
     ours = solve(factorise(analyse(n, i, j), g, excess), rhs)
     np.testing.assert_allclose(ours, [float(x) for x in exact], rtol=1e-13)
 

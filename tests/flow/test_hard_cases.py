@@ -35,21 +35,28 @@ def largest_decay(rock, sides):
     return np.linalg.eigvalsh(matrix / np.outer(root, root))[-1]
 
 
-@pytest.mark.parametrize("safety", [0.9, 1.0, 1.1])
-def test_explicit_stays_within_the_boundary_pressures_around_its_limit(safety):
+@pytest.mark.parametrize("safety", [0.9, 1.0])
+def test_explicit_keeps_the_maximum_principle_up_to_its_limit(safety):
     found = ROCK.respond((), PAIR, (2000 * LIMIT,), method="explicit", safety_factor=safety)
-    slack = 1e-12 if safety <= 1 else 0.1
-    assert found.pressure.min() >= -slack
-    assert found.pressure.max() <= 1 + slack
-    steady = ROCK.respond((), PAIR, (), method="steady")
+    assert found.pressure.min() >= 0
+    assert found.pressure.max() <= 1 + 1e-12
     exact = ROCK.respond((), PAIR, (2000 * LIMIT,), method="krylov")
-    np.testing.assert_allclose(found.pressure[:, -1], exact.pressure[:, -1], atol=1e-3)
-    assert np.all(found.pressure[:, -1] <= steady.pressure[:, 0] + 1e-9)
+    np.testing.assert_allclose(found.pressure, exact.pressure, atol=1e-3)
+
+
+def test_explicit_is_still_stable_a_little_beyond_where_pores_differ():
+    """One small pore sets the limit; at 1.1 times of it nothing grows."""
+    rock = reservoir(SCATTER._replace(radius=0.5 * SCATTER.radius), BOX)
+    limit = step_limit(rock.assembled((), PAIR))
+    assert 2 / largest_decay(rock, PAIR) > 1.15 * limit
+    found = rock.respond((), PAIR, (2000 * limit,), method="explicit", safety_factor=1.1)
+    exact = rock.respond((), PAIR, (2000 * limit,), method="krylov")
+    np.testing.assert_allclose(found.pressure, exact.pressure, atol=1e-3)
 
 
 def test_explicit_is_stable_up_to_two_over_the_largest_decay():
     edge = 2 / largest_decay(ROCK, PAIR) / LIMIT
-    assert 1 < edge < 2.5
+    assert 1 < edge < 1.1  # equal pores on a lattice of two colours: the limit is sharp
     found = ROCK.respond((), PAIR, (3000 * LIMIT,), method="explicit", safety_factor=0.99 * edge)
     exact = ROCK.respond((), PAIR, (3000 * LIMIT,), method="krylov")
     np.testing.assert_allclose(found.pressure, exact.pressure, atol=1e-2)
@@ -114,7 +121,9 @@ def test_a_barrier_of_any_contrast_divides_the_pressure(contrast):
     )
     rock = reservoir(square_lattice(1.3, R, (R / 3, R)), BOX, 1e-5, (wall,))
     seen = rock.observed(
-        (), (("left", 1.0), ("right", 0.0)), method="steady",
+        (),
+        (("left", 1.0), ("right", 0.0)),
+        method="steady",
         probes=(Probe("before", (-0.3, 0.0)), Probe("after", (0.3, 0.0))),
     )
     pipes = 2.0 / (2 * R)
@@ -128,9 +137,7 @@ def test_a_barrier_of_any_contrast_divides_the_pressure(contrast):
 
 def test_flow_behind_a_wall_of_1e12_is_right_to_the_last_digits():
     """A well between a wall and sealed sides draws all of its fluid through the wall."""
-    wall = Trace(
-        name="wall", transmissibility_multiplier=1e-12, start=(0.0, -1.0), end=(0.0, 1.0)
-    )
+    wall = Trace(name="wall", transmissibility_multiplier=1e-12, start=(0.0, -1.0), end=(0.0, 1.0))
     rock = reservoir(square_lattice(1.3, R, (R / 3, R)), BOX, 1e-5, (wall,))
     well = (Well(name="w", at=(0.6, 0.0), radius=0.01, rate=1e-20),)
     seen = rock.observed(well, (("left", 0.0),), method="steady")
@@ -339,8 +346,9 @@ def test_a_circle_cut_from_a_packing_with_everything_in_it(method):
         Circle(0.9),
         1e-5,
         (
-            Trace(name="a", aperture=3e-5, start=(-0.4, -0.4), end=(0.5, 0.6),
-                  pore_storage="fracture"),
+            Trace(
+                name="a", aperture=3e-5, start=(-0.4, -0.4), end=(0.5, 0.6), pore_storage="fracture"
+            ),
             Trace(name="b", transmissibility_multiplier=0.1, start=(-0.3, 0.5), end=(0.4, -0.6)),
         ),
     )

@@ -20,9 +20,7 @@ SCATTERED = random_graph(1.2, 1350, 3)
 # grains of half the size leave every pore room, so that no sliver rules the explicit step
 PACKING = SCATTERED._replace(radius=0.5 * SCATTERED.radius)
 FRACTURES = (
-    Trace(
-        name="open", aperture=3e-5, start=(-0.6, -0.3), end=(0.7, 0.25), pore_storage="fracture"
-    ),
+    Trace(name="open", aperture=3e-5, start=(-0.6, -0.3), end=(0.7, 0.25), pore_storage="fracture"),
     Trace(name="wall", transmissibility_multiplier=0.05, start=(0.1, 0.6), end=(0.6, -0.5)),
 )
 ROCK = reservoir(PACKING, REGION, 2e-5, FRACTURES)
@@ -78,18 +76,14 @@ def test_agrees_with_a_dense_eigen_solution(method):
         )
         # wells at a rate come first among the outputs
         wells = exact[:, SYSTEM.pores :]
-        np.testing.assert_allclose(
-            output[:, :2], wells, atol=ERROR[method] * scale
-        )
+        np.testing.assert_allclose(output[:, :2], wells, atol=ERROR[method] * scale)
         # then the inflows: what the fixed pressures push through their links
         for k in range(SYSTEM.fixed_count):
             ours = SYSTEM.fixed_source == k
             own = 1.0 if source == k else 0.0
             flow = (own - exact[:, SYSTEM.fixed_node[ours]]) @ SYSTEM.fixed_g[ours]
             size = SYSTEM.fixed_g[ours].sum() * scale
-            np.testing.assert_allclose(
-                output[:, 2 + k], flow, atol=ERROR[method] * size
-            )
+            np.testing.assert_allclose(output[:, 2 + k], flow, atol=ERROR[method] * size)
         # and probes: the pore around the point, or the well in which it lies
         at = domains_at(ROCK.network, np.array([PROBES[0].at]))
         np.testing.assert_allclose(
@@ -97,9 +91,7 @@ def test_agrees_with_a_dense_eigen_solution(method):
             pressure[:, np.searchsorted(found.domain, at[0])],
             atol=1e-12 * scale,
         )
-        np.testing.assert_allclose(
-            output[:, -1], output[:, 0], atol=1e-12 * scale
-        )
+        np.testing.assert_allclose(output[:, -1], output[:, 0], atol=1e-12 * scale)
 
 
 def test_the_krylov_error_estimate_bounds_the_error():
@@ -257,9 +249,7 @@ def test_names_of_grains_do_not_matter(method):
     flows = np.array([False, False, True, True, True, False, False])
     for kind in (flows, ~flows):
         scale = np.abs(one[:, :, kind]).max(axis=(1, 2), keepdims=True)
-        np.testing.assert_allclose(
-            one[:, :, kind] / scale, two[:, :, kind] / scale, atol=1e-8
-        )
+        np.testing.assert_allclose(one[:, :, kind] / scale, two[:, :, kind] / scale, atol=1e-8)
 
 
 @every
@@ -271,7 +261,10 @@ def test_turned_rocks_answer_alike(method):
     here = reservoir(PACKING, Circle(0.8), 2e-5)
     there = reservoir(PACKING._replace(x=x, y=y), Circle(0.8), 2e-5)
     one = respond(
-        method, (Well(name="w", at=(0.2, 0.0), radius=0.1, rate=1.0),), ("outer",), rock=here,
+        method,
+        (Well(name="w", at=(0.2, 0.0), radius=0.1, rate=1.0),),
+        ("outer",),
+        rock=here,
         probes=(),
     )
     two = respond(

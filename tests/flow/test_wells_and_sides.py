@@ -1,4 +1,4 @@
-"""Wells and sides: the places where pressure is imposed, against closed forms of flow around them."""
+"""Wells and sides: where pressure is imposed, against closed forms of the flow around them."""
 
 import math
 
@@ -20,8 +20,10 @@ every = pytest.mark.parametrize("method", SOLVERS)
 
 def conductivity(rock, viscosity=1e-3):
     """Isotropic k/μ of an open network."""
-    return 0.5 * np.trace(permeability(rock.network, rock.apertures, viscosity=viscosity)) / (
-        viscosity
+    return (
+        0.5
+        * np.trace(permeability(rock.network, rock.apertures, viscosity=viscosity))
+        / (viscosity)
     )
 
 
@@ -80,9 +82,7 @@ def test_a_well_narrower_than_a_pore_has_peaceman_s_radius():
 @every
 def test_wells_that_mirror_each_other_have_one_pressure(packing, method):
     rock = reservoir(packing, Circle(0.93))
-    pair = tuple(
-        Well(name=f"{x}", at=(x, 0.0), radius=0.12, rate=1e-6) for x in (-0.4, 0.4)
-    )
+    pair = tuple(Well(name=f"{x}", at=(x, 0.0), radius=0.12, rate=1e-6) for x in (-0.4, 0.4))
     times = (1.0, 100.0) if SOLVERS[method].transient else ()
     seen = rock.observed(pair, (("outer", 0.0),), times=times, method=method)
     np.testing.assert_allclose(*seen["well_pressure"], rtol=1e-6)
@@ -157,8 +157,10 @@ def test_sealing_a_side_leaves_the_rest_of_the_system_a_graph():
     """Edges that stand for cut pores join pores inside, with conductances above zero."""
     rock = reservoir(random_graph(1.1, 800, 2), Rectangle(1.6, 1.2))
     for sides in ((), ("left",), ("left", "right"), ("outer",)):
-        system = rock.assembled((), sides) if sides else rock.assembled(
-            sites((Well(name="w", at=(0, 0), radius=0.1, rate=1.0),)), ()
+        system = (
+            rock.assembled((), sides)
+            if sides
+            else rock.assembled(sites((Well(name="w", at=(0, 0), radius=0.1, rate=1.0),)), ())
         )
         assert np.all(system.edge_g > 0)
         assert np.all(system.fixed_g > 0)

@@ -27,9 +27,7 @@ def fly(grains: Grains, *, friction: float, dt: float, time: float, box=FAR) -> 
     """Undamped motion; friction acts, nothing else takes energy."""
     law = ContactLaw(1.0, 0.4, friction)
     specimen = Specimen(grains, box.copy(), law, dt=dt, skin=0.3)
-    assert (
-        specimen.relax(STANDING, NEVER, damping=0.0, steps=round(time / dt)) == OUT_OF_STEPS
-    )
+    assert specimen.relax(STANDING, NEVER, damping=0.0, steps=round(time / dt)) == OUT_OF_STEPS
     return specimen
 
 
@@ -41,9 +39,7 @@ def kinetic_energy(grains: Grains) -> float:
 
 def momenta(grains: Grains) -> np.ndarray:
     mass = 1.0 / grains.inverse_mass
-    angular = mass * (
-        grains.x * grains.vy - grains.y * grains.vx + grains.radius**2 * grains.spin
-    )
+    angular = mass * (grains.x * grains.vy - grains.y * grains.vx + grains.radius**2 * grains.spin)
     return np.array([np.sum(mass * grains.vx), np.sum(mass * grains.vy), np.sum(angular)])
 
 

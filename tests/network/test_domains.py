@@ -90,9 +90,7 @@ def without_contacts(packing, lost):
     return packing._replace(contact_a=packing.contact_a[keep], contact_b=packing.contact_b[keep])
 
 
-@given(
-    seed=st.integers(0, 10**6), count=st.integers(9, 56), lost=st.lists(st.integers(0, 10**6))
-)
+@given(seed=st.integers(0, 10**6), count=st.integers(9, 56), lost=st.lists(st.integers(0, 10**6)))
 @settings(max_examples=40)
 def test_faces_are_those_walked_by_hand(seed, count, lost):
     packing = random_graph(1.0, count, seed)
@@ -117,14 +115,9 @@ def test_faces_are_those_walked_by_hand(seed, count, lost):
     assert net.area.sum() == pytest.approx(-min(areas), rel=1e-12)
     # a pipe for every edge between two different bounded faces, with the right grains
     of_half_edge = {
-        (face[k - 1], face[k]): d
-        for d, face in enumerate(faces_of(net))
-        for k in range(len(face))
+        (face[k - 1], face[k]): d for d, face in enumerate(faces_of(net)) for k in range(len(face))
     }
-    expected = {
-        (a, b): {of_half_edge.get((a, b)), of_half_edge.get((b, a))}
-        for a, b in edges
-    }
+    expected = {(a, b): {of_half_edge.get((a, b)), of_half_edge.get((b, a))} for a, b in edges}
     expected = {e: f for e, f in expected.items() if len(f) == 2 and None not in f}
     pipes = zip(net.pipe_grain_a, net.pipe_grain_b, net.pipe_from, net.pipe_to, strict=True)
     assert {(int(a), int(b)): {int(i), int(j)} for a, b, i, j in pipes} == expected
@@ -395,9 +388,7 @@ def test_a_round_rim_cuts_by_the_logarithm():
 def test_points_are_found_in_their_polygons_or_the_nearest_domain():
     packing = random_graph(1.0, 120, 6)
     net = network(packing, region=Circle(0.8))
-    polygons = [
-        Polygon(tuple(zip(packing.x[f], packing.y[f], strict=True))) for f in faces_of(net)
-    ]
+    polygons = [Polygon(tuple(zip(packing.x[f], packing.y[f], strict=True))) for f in faces_of(net)]
     points = np.random.default_rng(1).uniform(-1.1, 1.1, (60, 2))
     found = domains_at(net, points)
     outside = 0

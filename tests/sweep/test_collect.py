@@ -155,3 +155,12 @@ def test_small_tiles_give_the_same_file(finished, tmp_path, monkeypatch):
     assert collected_digest(tmp_path / "absent.nc") is None
     other.write_bytes(other.read_bytes()[:1000])
     assert collected_digest(other) is None
+
+
+def test_a_study_without_axes_is_one_case(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(), stresses=(), rates=())
+    dataset = open_results(toys.run(path, tmp_path / "results", workers=1).folder)
+    assert dataset.status.dims == ()
+    assert (dataset.status.item(), dataset.message.item()) == (Status.DONE, "")
+    assert dataset.well_pressure.dims == ("well", "elapsed_time")
+    assert np.isfinite(dataset.well_pressure).all()
