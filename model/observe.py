@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.flow.solvers import change_times
+from model.flow.solvers import change_times, time_since
 from model.flow.system import WellSite
 from model.products import Responses
 from model.scene import Scene, Well
@@ -38,7 +38,7 @@ def controls(scene: Scene) -> Controls:
     """The controls of a scene."""
     transient = scene.method != "steady"
     reference = scene.initial_pressure
-    if reference is None or not transient:
+    if reference is None:
         held = [p for _, p in scene.boundaries]
         held += [w.pressure for w in scene.wells if w.pressure is not None]
         reference = held[0] if held else 0.0
@@ -84,7 +84,7 @@ def superpose(
         for time, size in changes:
             if size == 0.0:
                 continue
-            since = at - time if math.isfinite(at[0]) else at
+            since = time_since(time, at) if math.isfinite(at[0]) else at
             acts = since > 0.0
             total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
     return total
@@ -114,7 +114,8 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         starts = np.array([t for t, _ in told.wells[k].rate_changes])
         rates = np.array([0.0, *(q for _, q in told.wells[k].rate_changes)])
         # the rate that led to the pressure at a time: a change acts after its time
-        rate[k] = rates[np.searchsorted(starts, times)]
+        acted = time_since(starts[:, None], times[None, :]) > 0.0
+        rate[k] = rates[np.count_nonzero(acted, axis=0)]
     probes = told.reference + output[:, len(rate_wells) + sides + len(pressure_wells) :].T
     found = {
         "well_pressure": pressure,

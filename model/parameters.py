@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import MISSING, Field, field, fields
+from numbers import Real
 from typing import Any
 
 
@@ -59,7 +60,10 @@ def parameter(
 
 
 def bound_problem(declared: Field, value: Any) -> str | None:
-    """What is wrong with a value against the declaration of its field, or None."""
+    """What is wrong with a value against the declaration of its field, or None.
+
+    The bounds of a tuple are those of each of its numbers.
+    """
     meta = declared.metadata
     if not meta or value is None:
         return None
@@ -67,7 +71,10 @@ def bound_problem(declared: Field, value: Any) -> str | None:
         if value not in meta["choices"]:
             return f"{value!r} is none of {', '.join(meta['choices'])}"
         return None
-    if isinstance(value, bool | str) or not isinstance(value, int | float):
+    if isinstance(value, tuple):
+        problems = (bound_problem(declared, part) for part in value)
+        return next((what for what in problems if what is not None), None)
+    if isinstance(value, bool | str) or not isinstance(value, Real):
         return None
     unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
     if not math.isfinite(value):

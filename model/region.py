@@ -75,12 +75,12 @@ class Polygon:
         if len(self.vertices) < 3:
             raise SceneError([("vertices", "a polygon needs at least three corners")])
         corners = np.asarray(self.vertices, dtype=float)
+        if _signed_area(corners) == 0:
+            raise SceneError([("vertices", "the polygon has no area")])
+        if _edges_cross(corners):
+            raise SceneError([("vertices", "the sides of the polygon cross each other")])
         if _signed_area(corners) < 0:
             object.__setattr__(self, "vertices", tuple(map(tuple, corners[::-1].tolist())))
-        if _signed_area(np.asarray(self.vertices)) <= 0:
-            raise SceneError([("vertices", "the polygon has no area")])
-        if _edges_cross(np.asarray(self.vertices, dtype=float)):
-            raise SceneError([("vertices", "the sides of the polygon cross each other")])
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -205,12 +205,20 @@ def _edges_cross(corners: np.ndarray) -> bool:
     """Whether two sides that share no corner meet."""
 
     def turn(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
-        return float((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0]))
+        return float(np.sign((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])))
+
+    def within(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> bool:
+        """Whether r, on the line p–q, lies between p and q."""
+        return bool(np.all(np.minimum(p, q) <= r) and np.all(r <= np.maximum(p, q)))
 
     n = len(corners)
     for i in range(n):
         for j in range(i + 2, n - (i == 0)):
             p, q, r, s = corners[i], corners[(i + 1) % n], corners[j], corners[(j + 1) % n]
-            if turn(p, q, r) * turn(p, q, s) <= 0 and turn(r, s, p) * turn(r, s, q) <= 0:
+            turns = turn(p, q, r), turn(p, q, s), turn(r, s, p), turn(r, s, q)
+            if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
+                return True
+            ends = ((p, q, r), (p, q, s), (r, s, p), (r, s, q))
+            if any(t == 0 and within(*end) for t, end in zip(turns, ends, strict=True)):
                 return True
     return False

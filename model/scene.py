@@ -326,6 +326,9 @@ class Probe:
     name: str
     at: tuple[float, float] = parameter("m", help="position")
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @dataclass(frozen=True, slots=True)
 class Solver:
@@ -375,6 +378,7 @@ class Scene:
     solver: Solver = Solver()
 
     def __post_init__(self) -> None:
+        check_fields(self)
         problems = [
             *self._mechanical_problems(),
             *self._placement_problems(),
@@ -429,7 +433,9 @@ class Scene:
         for name, pressure in self.boundaries:
             if name not in sides:
                 known = ", ".join(sorted(sides))
-                problems.append((f"boundaries.{name}", f"the region's sides are {known}"))
+                problems.append(
+                    (f"boundaries.{name}", f"the region has no such side, only {known}")
+                )
             if not math.isfinite(pressure):
                 problems.append((f"boundaries.{name}", "the pressure is not a finite number"))
         if len(self.boundaries) > 1 and any(name == "outer" for name, _ in self.boundaries):

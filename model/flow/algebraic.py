@@ -23,6 +23,8 @@ class Algebraic(NamedTuple):
 
     def lift(self, pores: np.ndarray) -> np.ndarray:
         """Pores (pores, …) completed by the wells that follow them, (n, …)."""
+        if len(pores) == 0:
+            return np.zeros((len(self.inverse), *pores.shape[1:]))
         return np.concatenate([pores, self.inverse @ (self.coupling @ pores)])
 
     def reduce_source(self, rhs: np.ndarray) -> np.ndarray:

@@ -43,13 +43,14 @@ def explicit(problem: Problem) -> Answer:
     system, lags = problem.system, problem.lag
     limit = problem.safety_factor * step_limit(system)
     intervals = np.diff(np.concatenate([[0.0], lags]))
-    steps = np.ceil(intervals / limit * (1.0 - 1e-12)).astype(np.int64)
-    updates = float(steps.sum()) * system.n * int(problem.active.sum())
+    needed = np.ceil(intervals / limit * (1.0 - 1e-12))
+    updates = float(needed.sum()) * system.n * len(problem.active_sources)
     if updates > MOST_UPDATES:
         raise ModelError(
-            f"explicit would take {steps.sum():.3g} steps of {limit:.3g} s over {system.n} pores, "
+            f"explicit would take {needed.sum():.3g} steps of {limit:.3g} s over {system.n} pores, "
             f"about {updates * 3e-9 / 3600:.3g} h; use solver.method krylov"
         )
+    steps = np.maximum(needed, intervals > 0.0).astype(np.int64)
     start, neighbour, conductance = _adjacency(system)
     wells = algebraic(system)
     with np.errstate(divide="ignore"):
@@ -84,7 +85,7 @@ def explicit(problem: Problem) -> Answer:
                     "set solver.safety_factor to 1 or less, or use solver.method krylov"
                 )
             maps[m] = p
-            answer.cumulative[k, m] = _volumes(system, k, p, integral, lags[m])
+            answer.cumulative[k, m] = _volumes(problem, k, p, integral, lags[m])
         answer.output[k] = (problem.records.rows @ maps.T).T + problem.records.direct[k]
         answer.pressure[k] = fill_map(problem, k, maps)
         residual = max(residual, relative_residual(system, rhs, _rate(system, rhs, p), p))
@@ -115,15 +116,13 @@ def _rate(system: System, rhs: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def _volumes(
-    system: System, source: int, p: np.ndarray, integral: np.ndarray, time: float
+    problem: Problem, source: int, p: np.ndarray, integral: np.ndarray, time: float
 ) -> np.ndarray:
     """Volumes let in by each fixed pressure since the step, and the volume stored, (fixed + 1,)."""
-    volumes = np.zeros(system.fixed_count + 1)
-    np.subtract.at(volumes, system.fixed_source, system.fixed_g * integral[system.fixed_node])
-    if source < system.fixed_count:
-        volumes[source] += time * system.fixed_g[system.fixed_source == source].sum()
-    volumes[-1] = system.storage @ p
-    return volumes
+    records = problem.records
+    flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+    let_in = (records.rows @ integral + time * records.direct[source])[flows]
+    return np.append(let_in, problem.system.storage @ p)
 
 
 def _adjacency(system: System) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

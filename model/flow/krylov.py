@@ -50,8 +50,12 @@ def krylov(problem: Problem) -> Answer:
     """
     system = problem.system
     wells = algebraic(system)
-    factors = _factors(system, _poles(problem.lag))
     answer = empty_answer(problem)
+    if system.pores == 0:
+        for k in problem.active_sources:
+            _record(problem, k, wells, _no_basis(), answer)
+        return answer
+    factors = _factors(system, _poles(problem.lag))
     error = residual = 0.0
     work = len(factors)
     for k in problem.active_sources:
@@ -61,6 +65,11 @@ def krylov(problem: Problem) -> Answer:
         residual = max(residual, _residual(problem, k, wells, basis))
         work += solves
     return answer._replace(time_error=error, residual=residual, work=work)
+
+
+def _no_basis() -> Basis:
+    """The basis where there is no pore: wells and fixed pressures meet at once."""
+    return Basis(np.empty((0, 0)), np.empty(0), np.empty((0, 0)), np.empty(0))
 
 
 def _poles(lag: np.ndarray) -> np.ndarray:

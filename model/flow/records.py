@@ -41,6 +41,9 @@ def outputs(system: System, probe_domains: np.ndarray) -> Records:
     direct = np.zeros((system.source_count, wells + fixed + probes))
     for k in range(fixed):
         direct[k, wells + k] = system.fixed_g[system.fixed_source == k].sum()
+    for one, other in ((system.short_a, system.short_b), (system.short_b, system.short_a)):
+        np.add.at(direct, (one, wells + one), system.short_g)
+        np.subtract.at(direct, (one, wells + other), system.short_g)
     source = system.source_of_domain[probe_domains]
     held = np.flatnonzero(source >= 0)
     direct[source[held], wells + fixed + held] = 1.0

@@ -19,6 +19,9 @@ from model.products import Apertures, Network, Responses
 from model.region import Region
 from model.scene import Probe
 
+# Times nearer to each other than this part of them are the same time.
+ROUND_OFF = 1e-12
+
 
 class FlowSolver(NamedTuple):
     """A way to answer a `Problem`, and what it can do."""
@@ -45,8 +48,15 @@ def lags(times: tuple[float, ...], wells: tuple[WellSite, ...]) -> np.ndarray:
         return np.array([math.inf])
     changes = change_times(wells)
     wanted = np.concatenate([times, changes])
-    lag = wanted[:, None] - changes[None, :]
+    lag = time_since(changes[None, :], wanted[:, None])
     return np.unique(lag[lag >= 0.0])
+
+
+def time_since(change: np.ndarray | float, times: np.ndarray) -> np.ndarray:
+    """Time since a change, s; exactly 0 where only round-off parts the two."""
+    since = times - change
+    same = np.isfinite(times) & (np.abs(since) <= ROUND_OFF * np.abs(times))
+    return np.where(same, 0.0, since)
 
 
 def change_times(wells: tuple[WellSite, ...]) -> np.ndarray:

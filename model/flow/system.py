@@ -14,6 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from model.network.domains import domains_at
+from model.outcome import ModelError
 from model.products import Apertures, Network
 from model.region import Region
 
@@ -50,6 +51,9 @@ class System(NamedTuple):
     fixed_node: np.ndarray  # (f,) unknown beside a fixed pressure
     fixed_source: np.ndarray  # (f,) which one
     fixed_g: np.ndarray  # (f,) m³/(s Pa)
+    short_a: np.ndarray  # (h,) fixed sources that pipes join with no unknown between
+    short_b: np.ndarray  # (h,)
+    short_g: np.ndarray  # (h,) m³/(s Pa)
     sides: tuple[str, ...]  # names of the sides at fixed pressure
     pressure_wells: tuple[int, ...]  # positions of the wells at fixed pressure
     rate_wells: tuple[int, ...]  # positions of the wells at a rate
@@ -107,78 +111,67 @@ def assemble(
     rate_wells = tuple(k for k, w in enumerate(wells) if not w.fixed_pressure)
     well_of = _wells_of_domains(network, wells)
 
-    # A terminal is a pore inside, a well, or a fixed pressure. Edges link pores and
-    # rate wells; links join them to fixed pressures.
-    d = len(network.x)
-    terminal = np.where(network.inside, np.arange(d), -1)
-    for k in range(len(wells)):
-        terminal[well_of == k] = d + k
-    i, j, g = _pipes(network, apertures, wells, well_of)
-    side_source = _sources_of_sides(region, sides)
-    rim = side_source[network.cut_side] if len(network.cut) else np.empty(0, dtype=np.int64)
-    open_rim = (rim >= 0) & (apertures.cut_conductance > 0.0)
-    around = _around_sealed_sides(network, apertures, rim < 0)
-    i, j, g = (np.concatenate(pair) for pair in zip((i, j, g), around, strict=True))
-    is_fixed_well = np.zeros(d + len(wells), dtype=bool)
-    well_source = np.full(d + len(wells), -1)
-    for order, k in enumerate(pressure_wells):
-        is_fixed_well[d + k] = True
-        well_source[d + k] = len(sides) + order
+    # Everything that flow can reach is a terminal: the pores, then the wells, then the sides.
+    d, w = len(network.x), len(wells)
+    terminal = np.where(well_of >= 0, d + well_of, np.where(network.inside, np.arange(d), -1))
+    held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
+    held[d + w :] = np.arange(len(sides))
+    held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
+    a, b, g = _connections(network, apertures, region, wells, sides, well_of, terminal)
+    a, b = np.where(held[a] >= 0, b, a), np.where(held[a] >= 0, a, b)
+    free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
+    between = held[a] >= 0
 
-    a, b = terminal[i], terminal[j]
-    keep = a != b
-    a, b, g = a[keep], b[keep], g[keep]
-    fixed_a, fixed_b = is_fixed_well[a], is_fixed_well[b]
-    link_node = np.concatenate(
-        [a[fixed_b & ~fixed_a], b[fixed_a & ~fixed_b], terminal[network.cut_inside[open_rim]]]
-    )
-    link_source = np.concatenate(
-        [
-            well_source[b[fixed_b & ~fixed_a]],
-            well_source[a[fixed_a & ~fixed_b]],
-            rim[open_rim],
-        ]
-    )
-    link_g = np.concatenate(
-        [g[fixed_b & ~fixed_a], g[fixed_a & ~fixed_b], apertures.cut_conductance[open_rim]]
-    )
-    at_pore = ~is_fixed_well[link_node]
-    link_node, link_source, link_g = link_node[at_pore], link_source[at_pore], link_g[at_pore]
-    free = ~fixed_a & ~fixed_b
-    a, b, g = a[free], b[free], g[free]
-
-    reached = _reached(d + len(wells), a, b, link_node, [d + k for k in rate_wells])
-    pore = np.zeros(d + len(wells), dtype=bool)
-    pore[:d] = (terminal[:d] == np.arange(d)) & reached[:d]
-    domain = np.flatnonzero(pore)
-    number = np.full(d + len(wells), -1)
+    reached = _reached(len(held), a[free], b[free], [*a[link], *(d + k for k in rate_wells)])
+    domain = np.flatnonzero((terminal == np.arange(d)) & reached[:d])
+    number = np.full(len(held), -1)
     number[domain] = np.arange(len(domain))
-    for order, k in enumerate(rate_wells):
-        number[d + k] = len(domain) + order
-    inside_edges = (number[a] >= 0) & (number[b] >= 0)
+    number[[d + k for k in rate_wells]] = len(domain) + np.arange(len(rate_wells))
+    free &= (number[a] >= 0) & (number[b] >= 0)
     node_of_domain = np.where(terminal >= 0, number[terminal], -1)
-    source_of_domain = np.where(terminal >= 0, well_source[terminal], -1)
+    source_of_domain = np.where(terminal >= 0, held[terminal], -1)
+    alone = network.inside & (node_of_domain < 0) & (source_of_domain < 0)
     return System(
         domain=domain,
         n=len(domain) + len(rate_wells),
-        storage=np.concatenate(
-            [apertures.volume[domain] / bulk_modulus, np.zeros(len(rate_wells))]
-        ),
-        edge_i=number[a[inside_edges]],
-        edge_j=number[b[inside_edges]],
-        edge_g=g[inside_edges],
-        fixed_node=number[link_node],
-        fixed_source=link_source,
-        fixed_g=link_g,
+        storage=np.append(apertures.volume[domain] / bulk_modulus, np.zeros(len(rate_wells))),
+        edge_i=number[a[free]],
+        edge_j=number[b[free]],
+        edge_g=g[free],
+        fixed_node=number[a[link]],
+        fixed_source=held[b[link]],
+        fixed_g=g[link],
+        short_a=held[a[between]],
+        short_b=held[b[between]],
+        short_g=g[between],
         sides=sides,
         pressure_wells=pressure_wells,
         rate_wells=rate_wells,
         node_of_domain=node_of_domain,
         source_of_domain=source_of_domain,
-        isolated=int(
-            np.count_nonzero(network.inside & (node_of_domain < 0) & (source_of_domain < 0))
-        ),
+        isolated=int(np.count_nonzero(alone)),
     )
+
+
+def _connections(
+    network: Network,
+    apertures: Apertures,
+    region: Region,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+    well_of: np.ndarray,
+    terminal: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Conductances between terminals: pipes, cut pipes to the sides, rock along sealed sides."""
+    side_source = _sources_of_sides(region, sides)
+    rim = side_source[network.cut_side]
+    at_side = (rim >= 0) & (apertures.cut_conductance > 0.0)
+    i, j, g = _pipes(network, apertures, wells, well_of)
+    k, m, around = _around_sealed_sides(network, apertures, rim < 0)
+    a = np.concatenate([terminal[i], terminal[k], terminal[network.cut_inside[at_side]]])
+    b = np.concatenate([terminal[j], terminal[m], len(network.x) + len(wells) + rim[at_side]])
+    g = np.concatenate([g, around, apertures.cut_conductance[at_side]])
+    return a[a != b], b[a != b], g[a != b]
 
 
 def _wells_of_domains(network: Network, wells: tuple[WellSite, ...]) -> np.ndarray:
@@ -190,6 +183,12 @@ def _wells_of_domains(network: Network, wells: tuple[WellSite, ...]) -> np.ndarr
         if not within.any():
             within = np.zeros(len(network.x), dtype=bool)
             within[domains_at(network, np.array([well.at]))] = True
+        shared = well_of[within & (well_of >= 0)]
+        if len(shared):
+            raise ModelError(
+                f"wells {wells[shared[0]].name} and {well.name} lie in one pore; move them apart, "
+                "or raise grains.count"
+            )
         well_of[within] = k
     return well_of
 
@@ -295,24 +294,19 @@ def _sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
     return source
 
 
-def _reached(
-    n: int, a: np.ndarray, b: np.ndarray, fixed: np.ndarray, rate_nodes: list[int]
-) -> np.ndarray:
-    """Which terminals are connected to a fixed pressure or a well."""
+def _labels(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Number of the connected part to which each of n nodes belongs, given edges (a, b)."""
     graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    reached = np.zeros(label.max() + 1, dtype=bool)
-    reached[label[fixed]] = True
-    reached[label[rate_nodes]] = True
-    return reached[label]
+    return connected_components(graph, directed=False)[1] if n else np.empty(0, dtype=np.int64)
+
+
+def _reached(n: int, a: np.ndarray, b: np.ndarray, origins: list[int]) -> np.ndarray:
+    """Which of n nodes are connected to one of the origins by edges (a, b)."""
+    label = _labels(n, a, b)
+    return np.isin(label, label[origins])
 
 
 def without_outlet(system: System) -> bool:
     """Whether some unknown is connected to no fixed pressure, so that no steady state exists."""
-    graph = coo_array(
-        (np.ones(len(system.edge_i)), (system.edge_i, system.edge_j)), shape=(system.n, system.n)
-    )
-    _, label = connected_components(graph, directed=False)
-    held = np.zeros(label.max() + 1, dtype=bool)
-    held[label[system.fixed_node]] = True
-    return not bool(held[label].all())
+    label = _labels(system.n, system.edge_i, system.edge_j)
+    return not bool(np.isin(label, label[system.fixed_node]).all())

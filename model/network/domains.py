@@ -162,9 +162,13 @@ def _without_crossings(
         return a, b, 0
     gap = length - radius[a] - radius[b]
     keep = np.ones(len(a), dtype=bool)
-    for e, f in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]:
-        if keep[e] and keep[f]:
-            keep[e if gap[e] > gap[f] else f] = False
+    crossed: dict[int, set[int]] = {e: set() for e in np.unique(pairs).tolist()}
+    for e, f in pairs.tolist():
+        crossed[e].add(f)
+        crossed[f].add(e)
+    for e in sorted(crossed, key=lambda e: (-gap[e], e)):
+        if any(keep[f] for f in crossed[e]):
+            keep[e] = False
     return a[keep], b[keep], int(np.count_nonzero(~keep))
 
 

@@ -14,12 +14,15 @@ import numpy as np
 
 from model.compile import kernel
 from model.products import Network
-from model.region import Region, bounding_box, clip_segment
+from model.region import Region, bounding_box, clip_segment, contains
 from model.scene import BiWing, Fracture, FractureSet
 
 # Places along a trace are kept apart by this part of their mean distance: two contacts of
 # one grain can meet the line at the same point.
 LEAST_SPACING = 1e-3
+
+# An end of a trace nearer to the rim than this part of its length lies on it.
+RIM_TOUCH = 1e-9
 
 
 class Line(NamedTuple):
@@ -56,13 +59,16 @@ def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
             for s0, s1 in clip_segment(region, start, end):
                 a = np.asarray(start) + s0 * (np.asarray(end) - start)
                 b = np.asarray(start) + s1 * (np.asarray(end) - start)
+                # an end on the rim, but for round-off, is an end at the rim
+                beyond = np.array([a - RIM_TOUCH * (b - a), b + RIM_TOUCH * (b - a)])
+                leaves = ~contains(region, beyond)
                 lines.append(
                     Line(
                         index,
                         (float(a[0]), float(a[1])),
                         (float(b[0]), float(b[1])),
-                        s0 > 0.0,
-                        s1 < 1.0,
+                        bool(leaves[0]),
+                        bool(leaves[1]),
                     )
                 )
     return lines
