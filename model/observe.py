@@ -18,6 +18,7 @@ class Controls(NamedTuple):
     """How much: the part of a scene that scales responses, in the order of the sources."""
 
     reference: float  # Pa, the pressure from which changes count
+    initial: float  # Pa, of pores that no source reaches; NaN where none is given
     side_pressures: tuple[float, ...]  # Pa, of the sides at fixed pressure
     wells: tuple[Well, ...]
     times: tuple[float, ...]  # s
@@ -38,12 +39,13 @@ def controls(scene: Scene) -> Controls:
     """The controls of a scene."""
     transient = scene.method != "steady"
     reference = scene.initial_pressure
-    if reference is None:
+    if reference is None or not transient:
         held = [p for _, p in scene.boundaries]
         held += [w.pressure for w in scene.wells if w.pressure is not None]
         reference = held[0] if held else 0.0
     return Controls(
         reference,
+        math.nan if scene.initial_pressure is None else scene.initial_pressure,
         tuple(p for _, p in scene.boundaries),
         scene.wells,
         scene.times if transient else (),
@@ -145,10 +147,13 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
 
 
 def pressure_map(responses: Responses, told: Controls) -> np.ndarray:
-    """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study."""
+    """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study.
+
+    Domains that no source reaches keep the initial pressure; NaN where none is given.
+    """
     times = np.asarray(told.times) if told.transient else np.array([math.inf])
     change = superpose(responses.pressure, responses.lag, step_sizes(told), times)
-    return told.reference + change
+    return np.where(responses.reached, told.reference + change, told.initial)
 
 
 def _imbalance(

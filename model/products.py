@@ -122,6 +122,7 @@ class Responses(NamedTuple):
     cumulative: Array  # (sources, l, k) time integrals of boundary inflow and storage, per unit
     pressure: Array  # (sources, l, m) maps on the domains inside, m = 0 where none is asked for
     domain: Array  # (m,) the domains of the maps
+    reached: Array  # (m,) bool: some source reaches the domain
     time_error: Array  # () estimated relative error in time
     residual: Array  # () relative residual of the solve
     work: Array  # () steps or solves

@@ -7,7 +7,6 @@ products never travel, they lie in the store. Whatever a stage does, the answer 
 
 from __future__ import annotations
 
-import fcntl
 import os
 import platform
 import resource
@@ -74,7 +73,6 @@ def run_job(job: Job) -> list[Outcome]:
     where the store cannot be written.
     """
     stages = {stage.name: stage for stage in stage_table(job.table)}
-    guard_kernel_cache()
     store = Store(Path(job.store))
     outcomes: list[Outcome] = []
     failed: set[str] = set()
@@ -138,30 +136,6 @@ def named(product: Any) -> Mapping[str, np.ndarray]:
 def build(product: type, arrays: Mapping[str, np.ndarray]) -> Any:
     """Return a product of the given type from its arrays."""
     return dict(arrays) if issubclass(product, dict) else product(**arrays)
-
-
-def guard_kernel_cache() -> None:
-    """Let the processes of this machine take turns at the files of compiled kernels.
-
-    Numba reads its index, chooses a file name and writes both in separate steps. Two
-    processes in the middle of that can leave an index that names the other's code, so
-    both steps are done under a lock on the folder. Compiling itself is not.
-    """
-    caching = sys.modules.get("numba.core.caching")
-    if caching is None or hasattr(caching.IndexDataCacheFile, "guarded"):
-        return  # a table that has not imported Numba compiles nothing
-    Files = caching.IndexDataCacheFile
-
-    def locked(method: Any) -> Any:
-        def under_lock(self: Any, *args: Any) -> Any:
-            os.makedirs(self._cache_path, exist_ok=True)
-            with open(os.path.join(self._cache_path, ".lock"), "w") as file:
-                fcntl.flock(file, fcntl.LOCK_EX)
-                return method(self, *args)
-
-        return under_lock
-
-    Files.load, Files.save, Files.guarded = locked(Files.load), locked(Files.save), True
 
 
 class _Memory:

@@ -76,6 +76,7 @@ class Reservoir(NamedTuple):
         responses = self.respond(wells, sides, times, **solver)
         told = Controls(
             reference=initial_pressure,
+            initial=initial_pressure,
             side_pressures=tuple(p for _, p in boundaries),
             wells=wells,
             times=tuple(float(t) for t in times),

@@ -85,7 +85,7 @@ def test_rate_and_pressure_are_two_views_of_one_steady_state():
 @settings(max_examples=20)
 def test_pressure_is_linear_in_the_rate_whatever_the_start(rate, start):
     responses = RESPONSES
-    told = Controls(start, (start,), (producer(rate=rate),), TIMES, True)
+    told = Controls(start, start, (start,), (producer(rate=rate),), TIMES, True)
     seen = observe_flow(responses, told)
     expected = start + rate * responses.output[1, 1:, 0]
     np.testing.assert_allclose(seen["well_pressure"][0], expected, rtol=1e-12)
@@ -197,12 +197,12 @@ def test_flow_is_not_told_how_much_a_well_produces():
 
 def test_an_imbalance_is_reported():
     """The error that is stored is large when the books do not close."""
-    told = Controls(START, (START,), (producer(),), TIMES, True)
+    told = Controls(START, START, (START,), (producer(),), TIMES, True)
     cooked = RESPONSES._replace(cumulative=RESPONSES.cumulative * 1.01)
     assert observe_flow(RESPONSES, told)["mass_balance_error"] < 1e-12
     assert observe_flow(cooked, told)["mass_balance_error"] > 1e-3
     steady = ROCK.respond((producer(),), ("outer",), (), method="steady")
-    told = Controls(START, (START,), (producer(),), (), False)
+    told = Controls(START, START, (START,), (producer(),), (), False)
     cooked = steady._replace(output=steady.output * 1.01)
     assert observe_flow(steady, told)["mass_balance_error"] < 1e-12
     assert observe_flow(cooked, told)["mass_balance_error"] == pytest.approx(0.01 / 2.01, rel=1e-6)

@@ -77,7 +77,7 @@ def solve(factor: Factor, rhs: np.ndarray) -> np.ndarray:
     """Solve K x = rhs for one (n,) or several (n, k) right-hand sides."""
     symbolic = factor.symbolic
     flat = rhs.ndim == 1
-    x = np.ascontiguousarray(rhs[symbolic.order].reshape(len(rhs), -1))
+    x = np.ascontiguousarray(rhs[symbolic.order].reshape(len(rhs), 1 if flat else rhs.shape[1]))
     _substitute(symbolic.start, symbolic.row, factor.lower, factor.pivot, x)
     x = x[symbolic.rank]
     return x[:, 0] if flat else x

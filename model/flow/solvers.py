@@ -124,6 +124,8 @@ def flow(
         cumulative=answer.cumulative,
         pressure=answer.pressure,
         domain=problem.domain,
+        reached=(system.node_of_domain[problem.domain] >= 0)
+        | (system.source_of_domain[problem.domain] >= 0),
         time_error=np.asarray(answer.time_error),
         residual=np.asarray(answer.residual),
         work=np.asarray(answer.work),

@@ -276,9 +276,8 @@ def _trace_at_well(
         square = half * half - offset @ offset + well.radius**2
         if square <= 0.0:
             continue
-        walls = np.array([-half - np.sqrt(square), -half + np.sqrt(square)])
         whole = abs(apertures.pipe_trace_to[p] - apertures.pipe_trace_from[p])
-        distance = max(np.abs(place[k] - walls).min(), WELL_FLOOR * whole)
+        distance = max(abs(place[k] + half) - np.sqrt(square), WELL_FLOOR * whole)
         result[k] = apertures.trace_transmissivity[trace] / distance
     return result
 

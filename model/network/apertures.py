@@ -208,7 +208,7 @@ def _volumes(
 
     The pores along a trace belong to the matrix; left in the fracture they would delay its
     response. A pore keeps the volume of its stretch of fracture, the rest goes in equal
-    parts to those of its neighbours that lie on no such trace.
+    parts to those of its neighbours that lie on no such trace; without any it keeps its own.
     """
     own = np.full(len(network.volume), np.nan)
     for line, chain in zip(lines, chains, strict=True):

@@ -34,7 +34,7 @@ MISTAKES = [
     ("xx: 20 MPa", "xx: 5 kg", "5 kg", "5 kg is a mass; stress.xx is a pressure, for instance 10 MPa"),
     ("xx: 20 MPa", "xx: 5 mpa", "5 mpa", "unknown unit 'mpa' (did you mean 'MPa'?) in '5 mpa'; stress.xx is a pressure"),
     ("viscosity: 1 cP", "viscosity: -1 cP", "-1 cP", "fluid.viscosity: -0.001 Pa s is not above 0 Pa s"),
-    ("porosity: 0.17", "porosity: 0.5", "0.5", "grains.porosity: 0.5 is above 0.21"),
+    ("porosity: 0.17", "porosity: 0.5", "0.5", "grains.porosity: 0.5 is above 0.22"),
     ("porosity: 0.17", "porosity: .inf", ".inf", "not a finite number"),
     ("count: 500", "count: 1.5", "1.5", "1.5 is not a whole number"),
     ("count: 500", "count: 1e30", "1e30", "1e30 is too large for grains.count"),

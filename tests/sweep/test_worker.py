@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from dataclasses import fields
 
 import numpy as np
@@ -110,59 +108,3 @@ def test_memory_is_bounded_and_keeps_what_was_used_last():
 
 def test_the_toy_rows_are_those_of_the_model():
     assert [f.name for f in fields(toy_stages.Stage)] == [f.name for f in fields(Stage)]
-
-
-KERNEL = """
-from numba import njit
-
-@njit(cache=True)
-def twice(x):
-    return x + x
-"""
-
-COMPILE = """
-import os, sys, time
-from numba.core import caching
-from sweep.worker import guard_kernel_cache
-
-save = caching.IndexDataCacheFile._save_index
-
-def slowly(self, overloads):
-    time.sleep(0.5)  # another process has all the time to come in between
-    save(self, overloads)
-
-caching.IndexDataCacheFile._save_index = slowly
-guard_kernel_cache()
-from guarded_kernel import twice
-print("ready", flush=True)
-sys.stdin.readline()
-assert twice(eval(sys.argv[1])) == 2 * eval(sys.argv[1])
-"""
-
-
-def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
-    (tmp_path / "guarded_kernel.py").write_text(KERNEL)
-    path = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
-    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    environment.pop("NUMBA_DISABLE_JIT", None)
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    compiling = [
-        subprocess.Popen([sys.executable, "-c", COMPILE, argument], env=environment, **pipes)
-        for argument in ("1", "1.5", "2j")
-    ]
-    for process in compiling:
-        assert process.stdout.readline() == "ready\n"
-    for process in compiling:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    for process in compiling:
-        process.communicate(timeout=60)
-        assert process.returncode == 0
-    code = (
-        "from guarded_kernel import twice\n"
-        "print([twice(x) for x in (1, 1.5, 2j)], sum(twice.stats.cache_hits.values()))\n"
-    )
-    loaded = subprocess.run(
-        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
-    )
-    assert loaded.stdout == "[2, 3.0, 4j] 3\n"
