@@ -6,7 +6,7 @@ target in a lattice, which starts without force) to the target. The inertial num
 I = ε̇ √(m/p) of the path is INERTIAL_NUMBER, and the path waits while the stresses lag behind
 by more than BAND. So the state depends on this path, and little on the dynamics that follow
 it: against a path taken five times more slowly, forces of unbonded packings (5,000 grains,
-porosity 0.16 to 0.165, friction 0.5) differ by 0.2 to 0.8 % (L2) at 1.5:1 and by 1 to 2 % at
+porosity 0.16 to 0.165, friction 0.5) differ by 0.2 to 1.1 % (L2) at 1.5:1 and by 1 to 2.7 % at
 2:1, where the strength is near 2.4:1, whatever damping and gain.
 
 Units inside are the mean radius, k_n and the mass of a grain; stresses are σ / k_n.
