@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from model.flow.factor import analyse, factorise, solve
 from model.network.apertures import uniform
+from model.network.connectivity import reached
 from model.outcome import ModelError
 from model.products import Apertures, Network
 
@@ -36,7 +35,7 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     rim = number[network.cut_inside]
     rim_g = apertures.cut_conductance
 
-    held = _held(len(nodes), i, j, rim[rim_g > 0.0])
+    held = reached(len(nodes), i, j, rim[rim_g > 0.0])
     if not held.any():
         raise ModelError(
             "no conducting pipe reaches the rim, so there is no permeability to measure; give the "
@@ -73,12 +72,3 @@ def unit_permeability(network: Network) -> np.ndarray:
     Since k ∝ w³, the permeability at any uniform aperture w is w³ times this.
     """
     return permeability(network, uniform(network, 1.0, 1.0), viscosity=1.0)
-
-
-def _held(n: int, i: np.ndarray, j: np.ndarray, rim: np.ndarray) -> np.ndarray:
-    """Pores that conducting pipes connect to the rim."""
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
-    reached = np.zeros(label.max() + 1, dtype=bool)
-    reached[label[rim]] = True
-    return reached[label]

@@ -10,9 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from model.network.connectivity import reached
 from model.network.domains import domains_at
 from model.outcome import ModelError
 from model.products import Apertures, Network
@@ -122,8 +121,8 @@ def assemble(
     free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
     between = held[a] >= 0
 
-    reached = _reached(len(held), a[free], b[free], [*a[link], *(d + k for k in rate_wells)])
-    domain = np.flatnonzero((terminal == np.arange(d)) & reached[:d])
+    moved = reached(len(held), a[free], b[free], [*a[link], *(d + k for k in rate_wells)])
+    domain = np.flatnonzero((terminal == np.arange(d)) & moved[:d])
     number = np.full(len(held), -1)
     number[domain] = np.arange(len(domain))
     number[[d + k for k in rate_wells]] = len(domain) + np.arange(len(rate_wells))
@@ -293,19 +292,7 @@ def _sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
     return source
 
 
-def _labels(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Number of the connected part to which each of n nodes belongs, given edges (a, b)."""
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-    return connected_components(graph, directed=False)[1] if n else np.empty(0, dtype=np.int64)
-
-
-def _reached(n: int, a: np.ndarray, b: np.ndarray, origins: list[int]) -> np.ndarray:
-    """Which of n nodes are connected to one of the origins by edges (a, b)."""
-    label = _labels(n, a, b)
-    return np.isin(label, label[origins])
-
-
 def without_outlet(system: System) -> bool:
     """Whether some unknown is connected to no fixed pressure, so that no steady state exists."""
-    label = _labels(system.n, system.edge_i, system.edge_j)
-    return not bool(np.isin(label, label[system.fixed_node]).all())
+    held = reached(system.n, system.edge_i, system.edge_j, system.fixed_node)
+    return not bool(held.all())

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from model.network.connectivity import component_labels
 from model.network.faces import (
     crossing_pairs,
     locate,
@@ -178,8 +177,7 @@ def _load_bearing(n: int, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.
     a, b = a[kept], b[kept]
     if len(a) == 0:
         return a, b
-    graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-    _, label = connected_components(graph, directed=False)
+    label = component_labels(n, a, b)
     largest = np.argmax(np.bincount(label[a]))
     kept = label[a] == largest
     return a[kept], b[kept]
