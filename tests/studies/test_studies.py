@@ -1,0 +1,72 @@
+"""Every study of the repository runs small, through the same door as a user's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import sweep
+from model.outcome import Status
+from sweep.cli import main
+from sweep.figures import write_figures
+from sweep.report import write_report
+
+STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
+
+
+@pytest.fixture(scope="module", params=STUDIES, ids=lambda path: path.stem)
+def ran(request, tmp_path_factory):
+    """A study, its dataset and the folder of its results, from one small run."""
+    results = tmp_path_factory.mktemp(request.param.stem)
+    study = sweep.load_study(request.param, smoke=True)
+    dataset = sweep.run(request.param, workers=2, results=results, smoke=True)
+    return study, dataset, results / study.name
+
+
+def test_there_are_studies():
+    assert {"quickstart", "paper_linear", "paper_radial", "paper_fractured"} <= {
+        path.stem for path in STUDIES
+    }
+
+
+@pytest.mark.parametrize("path", STUDIES, ids=lambda path: path.stem)
+def test_a_study_passes_its_check_and_has_a_smoke_block(path, capsys):
+    assert main(["check", str(path)]) == 0
+    assert sweep.load_study(path, smoke=True).text == sweep.load_study(path).text
+    assert "\nsmoke:" in path.read_text(encoding="utf-8")
+
+
+def test_every_case_is_good_and_balances(ran):
+    study, dataset, _ = ran
+    assert dict(zip((axis.name for axis in study.axes), study.shape, strict=True)) == {
+        axis.name: dataset.sizes[axis.name] for axis in study.axes
+    }
+    assert np.all(dataset["status"].values == Status.DONE)
+    assert np.all(dataset["mass_balance_error"].values <= 1e-10)
+    for name in ("porosity", "well_pressure", "boundary_flow", "permeability"):
+        if name in dataset:
+            assert np.all(np.isfinite(dataset[name].values))
+
+
+def test_a_second_run_computes_nothing(ran, monkeypatch):
+    study, dataset, folder = ran
+
+    def refuse(*_args, **_kwargs):
+        raise AssertionError("a finished study starts no workers")
+
+    monkeypatch.setattr("sweep.execute.execute", refuse)
+    again = sweep.run(study.path, workers=2, results=folder.parent, smoke=True)
+    assert again.identical(dataset)
+
+
+def test_figures_and_report_are_drawn(ran):
+    study, dataset, folder = ran
+    figures = write_figures(dataset, folder, study)
+    assert figures
+    assert all(path.stat().st_size > 5_000 for path in figures)
+    page = write_report(dataset, folder, study, figures)
+    text = page.read_text(encoding="utf-8")
+    assert study.title in text
+    assert "http" not in text.replace("http://www.w3.org", "")
