@@ -119,6 +119,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         acted = time_since(starts[:, None], times[None, :]) > 0.0
         rate[k] = rates[np.count_nonzero(acted, axis=0)]
     probes = told.reference + output[:, len(rate_wells) + sides + len(pressure_wells) :].T
+    probes[~responses.probe_reached] = told.initial
     found = {
         "well_pressure": pressure,
         "well_rate": rate,

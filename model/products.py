@@ -105,6 +105,7 @@ class Apertures(NamedTuple):
     trace_fracture: Array  # (traces,) index of the fracture in the scene
     trace_transmissivity: Array  # (traces,) w³/(12 μ), 0 unless it is calibrated, m³/(s Pa)
     trace_pipes: Array  # (traces,) number of pipes along it; 0: shorter than a pore
+    trace_acts: Array  # (traces,) number of pipes that it widened, or as a barrier throttled
     pipe_trace_from: Array  # (p,) m: place of pipe_from along its calibrated trace, else NaN
     pipe_trace_to: Array  # (p,) m
     matrix_aperture: Array  # () w0, m
@@ -126,6 +127,7 @@ class Responses(NamedTuple):
     time_error: Array  # () estimated relative error in time
     residual: Array  # () relative residual of the solve
     work: Array  # () steps or solves
+    probe_reached: Array  # (probes,) bool: some source reaches the probe's domain
     isolated: Array  # () domains that no source reaches; they keep the initial pressure
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from model.transient import SMOOTHING
+
 
 class Quantity(NamedTuple):
     """A named result."""
@@ -16,6 +18,8 @@ class Quantity(NamedTuple):
     dimensions: tuple[str, ...]
     long_name: str
     needs: tuple[str, ...] = ()  # recorded where one of these is observed; empty: always
+    transient: bool = False  # has a meaning in time only, not in a steady study
+    constants: tuple[tuple[str, float], ...] = ()  # further attributes
 
 
 # Variables of the dataset, one value or array per case.
@@ -34,12 +38,15 @@ CASE: dict[str, Quantity] = {
         ("well", "elapsed_time"),
         "pressure change since the last rate change, positive in the sense of the change",
         ("well_pressure",),
+        transient=True,
     ),
     "pressure_derivative": Quantity(
         "Pa",
         ("well", "elapsed_time"),
         "Bourdet derivative of the pressure change by the logarithm of time since the rate change",
         ("well_pressure",),
+        transient=True,
+        constants=(("smoothing_window", SMOOTHING),),
     ),
     "permeability": Quantity(
         "m2", ("row", "column"), "permeability tensor of the region", ("permeability",)
@@ -60,6 +67,8 @@ CASE: dict[str, Quantity] = {
     "domain_count": Quantity("1", (), "pores inside the region"),
     "floaters": Quantity("1", (), "grains without load in the packing, treated as solid in pores"),
     "slivers": Quantity("1", (), "pores whose volume was raised to the floor"),
+    "idle_traces": Quantity("1", (), "fracture traces that changed no pipe"),
+    "parted_pipes": Quantity("1", (), "pipes whose grains parted under the stress"),
     "isolated_domains": Quantity("1", (), "pores that no well and no boundary reaches"),
     "mass_balance_error": Quantity(
         "1", (), "largest imbalance of stored, injected and boundary volume over the volume moved"

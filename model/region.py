@@ -160,6 +160,18 @@ def exit_point(
     return np.clip(fraction, 0.0, 1.0), side
 
 
+def distance_to_rim(region: Region, points: np.ndarray) -> np.ndarray:
+    """Distance of points (n, 2) to the nearest point of the rim, (n,) m."""
+    points = np.asarray(points, dtype=float).reshape(-1, 2)
+    if isinstance(region, Circle):
+        return np.abs(np.hypot(points[:, 0], points[:, 1]) - region.radius)
+    corners = np.asarray(region.vertices, dtype=float)
+    start, edge = corners[None, :, :], (np.roll(corners, -1, axis=0) - corners)[None, :, :]
+    along = np.sum((points[:, None, :] - start) * edge, axis=2) / np.sum(edge**2, axis=2)
+    nearest = start + np.clip(along, 0.0, 1.0)[:, :, None] * edge
+    return np.linalg.norm(points[:, None, :] - nearest, axis=2).min(axis=1)
+
+
 def clip_segment(
     region: Region, start: tuple[float, float], end: tuple[float, float]
 ) -> list[tuple[float, float]]:

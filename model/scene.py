@@ -14,7 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from model.parameters import SceneError, check_fields, parameter
-from model.region import Circle, Polygon, Rectangle, Region, contains
+from model.region import (
+    Circle,
+    Polygon,
+    Rectangle,
+    Region,
+    clip_segment,
+    contains,
+    distance_to_rim,
+)
 
 __all__ = [
     "OBSERVABLES",
@@ -46,6 +54,9 @@ OBSERVABLES = (
     "probe_pressure",
     "grain_map",
 )
+
+# Traces that one set may have: beyond, its spacing is a slip of the unit.
+MOST_TRACES = 100_000
 
 # What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
@@ -156,7 +167,11 @@ class Matrix:
         "m", default=None, at_least=0, help="pipe aperture w0, unstressed; 0 seals the matrix"
     )
     half_force: float | None = parameter(
-        "N/m", default=None, above=0, help="contact force F0 that halves the aperture (Eq. 2)"
+        "N/m",
+        default=None,
+        above=0,
+        help="contact force F0 that halves an aperture (Eq. 2); forces are about 2 r times the "
+        "stress, so it belongs to a grain size",
     )
     gap_factor: float = parameter(
         default=0.5, at_least=0, at_most=1, help="aperture gained per gap between grains, m (Eq. 3)"
@@ -235,6 +250,13 @@ class BiWing(_FractureProperties):
         if problems := self._problems():
             raise SceneError(problems)
 
+    @property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two tips, m."""
+        dx = self.half_length * math.cos(self.angle)
+        dy = self.half_length * math.sin(self.angle)
+        return (self.at[0] - dx, self.at[1] - dy), (self.at[0] + dx, self.at[1] + dy)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FractureSet(_FractureProperties):
@@ -272,6 +294,11 @@ class Trace(_FractureProperties):
             problems.append(("to", "the fracture has zero length"))
         if problems:
             raise SceneError(problems)
+
+    @property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two ends, m."""
+        return self.start, self.end
 
 
 Fracture = BiWing | FractureSet | Trace
@@ -336,14 +363,14 @@ class Solver:
 
     method: str = parameter(
         default="auto",
-        choices=("auto", "explicit", "krylov", "steady"),
+        choices=("auto", "explicit", "implicit", "krylov", "steady"),
         help="auto takes krylov for a transient, steady where no times are given",
     )
     tolerance: float = parameter(
         default=1e-4,
         above=0,
         below=1,
-        help="relative error in time of the well pressure change (krylov)",
+        help="relative error in time of the well pressure change (krylov, implicit)",
     )
     safety_factor: float = parameter(
         default=0.9, above=0, at_most=4, help="explicit step over its positivity limit (Eq. 14)"
@@ -419,8 +446,23 @@ class Scene:
     def _placement_problems(self) -> list[tuple[str, str]]:
         problems = []
         for well in self.wells:
-            if not contains(self.region, np.array([well.at]))[0]:
+            at = np.array([well.at])
+            if not contains(self.region, at)[0]:
                 problems.append((f"wells.{well.name}.at", "the well lies outside the region"))
+            elif (room := distance_to_rim(self.region, at)[0]) < well.radius:
+                what = f"the well reaches beyond the rim, which is {room:.3g} m away"
+                problems.append((f"wells.{well.name}.radius", what))
+        for fracture in self.fractures:
+            if isinstance(fracture, FractureSet):
+                gap = fracture.spacing if fracture.gap is None else fracture.gap
+                count = self.region.area / (fracture.spacing * (fracture.length + gap))
+                if count > MOST_TRACES:
+                    what = f"about {count:.2g} fractures in the region, more than {MOST_TRACES}"
+                    problems.append((f"fractures.{fracture.name}.spacing", what))
+            elif not clip_segment(self.region, *fracture.ends):
+                what = "the fracture lies outside the region"
+                key = "at" if isinstance(fracture, BiWing) else "from"
+                problems.append((f"fractures.{fracture.name}.{key}", what))
         for i, a in enumerate(self.wells):
             for b in self.wells[:i]:
                 if math.dist(a.at, b.at) < a.radius + b.radius:
@@ -476,6 +518,9 @@ class Scene:
             problems.append(("times", f"solver.method {self.method} needs times"))
         if transient and self.initial_pressure is None:
             problems.append(("initial_pressure", "a transient starts from a pressure; give it"))
+        if self.flows and self.method == "steady" and self.times:
+            what = "a steady state has no times; leave them out, or choose another solver.method"
+            problems.append(("times", what))
         if self.flows and self.method == "steady":
             if not self.boundaries and all(w.pressure is None for w in self.wells):
                 problems.append(

@@ -91,6 +91,8 @@ def observe(
         "domain_count": np.asarray(np.count_nonzero(network.inside)),
         "floaters": network.floaters,
         "slivers": network.slivers,
+        "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
+        "parted_pipes": _parted(network, stress),
     }
     if stress is not None:
         found["stress_achieved"] = stress.stress
@@ -109,6 +111,16 @@ def observe(
                 for key in needs:
                     found.pop(key, None)
     return {name: np.asarray(value) for name, value in found.items()}
+
+
+def _parted(network: Network, stress: StressState | None) -> np.ndarray:
+    """Number of pipes of the region whose grains have parted under the stress."""
+    if stress is None:
+        return np.asarray(0)
+    a, b = network.pipe_grain_a, network.pipe_grain_b
+    gap = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b]) - network.pipe_length
+    inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
+    return np.asarray(np.count_nonzero(inside & (gap > 0.0)))
 
 
 def _needs_permeability(scene: Scene) -> bool:

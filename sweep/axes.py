@@ -217,11 +217,13 @@ def _points(draft: Draft, parameters: list[Parameter], reading: Reading) -> list
                 reading.report(item.place, message)
                 continue
             nodes = item.items
+        before = len(reading.problems)
         values = tuple(
             _value(node, parameter, path, reading)
             for node, parameter, path in zip(nodes, parameters, draft.paths, strict=True)
         )
-        points.append((values, item.place))
+        if len(reading.problems) == before:
+            points.append((values, item.place))
     return points or None
 
 

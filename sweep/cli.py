@@ -1,4 +1,4 @@
-"""The command `demflow`: run, check, plan, status, report, verify, schema.
+"""The command `demflow`: run, check, plan, status, report, verify, clean, schema.
 
 Data go to stdout, messages and progress to stderr. Exit status: 0 all cases good, 1 some
 case failed (the rest is there), 2 wrong usage or invalid study (nothing was run), 130
@@ -65,6 +65,8 @@ def _foreseen(error: Exception) -> int | None:
         return SOME_FAILED
     execute = sys.modules.get("sweep.execute")
     results = sys.modules.get("sweep.results")
+    if execute is not None and isinstance(error, execute.SchedulerError):
+        return WRONG
     if execute is not None and isinstance(error, execute.RunError):
         return SOME_FAILED
     if results is not None and isinstance(error, results.ResultsError):
@@ -200,20 +202,41 @@ def report(options: argparse.Namespace) -> int:
 
 
 def verify(options: argparse.Namespace) -> int:
-    """Re-hash every stored product."""
-    from sweep.engine import verify_store
+    """Re-hash every stored product and every dataset."""
+    from sweep.upkeep import verify
 
-    checked, damaged, set_aside = verify_store(options.folder)
+    found = verify(options.folder)
     if options.json:
-        found = [{"file": str(path), "problem": what} for path, what in damaged]
-        _print_json({"checked": checked, "damaged": found, "set_aside": set_aside})
+        damaged = [{"file": str(path), "problem": what} for path, what in found.damaged]
+        told = {"checked": found.checked, "damaged": damaged, "set_aside": found.set_aside}
+        _print_json(told)
     else:
-        for path, what in damaged:
+        for path, what in found.damaged:
             print(f"{path}: {what}")
-        print(f"{_count(checked, 'file')} checked, {len(damaged)} damaged")
-    if damaged and set_aside:
-        _say("damaged files were set aside; the next run computes them again")
-    return SOME_FAILED if damaged else GOOD
+        print(f"{_count(found.checked, 'file')} checked, {len(found.damaged)} damaged")
+    if found.damaged and found.set_aside:
+        _say("damaged files were set aside; the next run makes them again")
+    return SOME_FAILED if found.damaged else GOOD
+
+
+def clean(options: argparse.Namespace) -> int:
+    """Free what no study of a results folder refers to."""
+    from sweep.progress import size
+    from sweep.upkeep import free, unwanted
+
+    found = unwanted(options.folder)
+    amount = f"{_count(len(found.files), 'file')}, {size(found.bytes)}"
+    _say(f"no study in {options.folder} refers to {amount}")
+    freed = bool(found.files) and (options.yes or _agreed("free them?"))
+    if freed:
+        found = free(options.folder)
+    elif found.files:
+        _say("nothing was freed; --yes frees them")
+    if options.json:
+        _print_json({"files": len(found.files), "bytes": found.bytes, "freed": freed})
+    elif freed:
+        print(f"freed {_count(len(found.files), 'file')}, {size(found.bytes)}")
+    return GOOD
 
 
 def schema(options: argparse.Namespace) -> int:
@@ -278,6 +301,14 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 
+def _agreed(question: str) -> bool:
+    """Ask whoever sits at a terminal; where nobody does, the answer is no."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
 def _say(message: str) -> None:
     print(message, file=sys.stderr, flush=True)
 
@@ -302,7 +333,10 @@ def _known(number: float | None, shown: Callable[[float], str]) -> str:
 
 
 def _at_least_one(text: str) -> int:
-    number = int(text)
+    try:
+        number = int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no whole number") from None
     if number < 1:
         raise argparse.ArgumentTypeError(f"{number} is below 1")
     return number
@@ -348,8 +382,8 @@ def _parser() -> argparse.ArgumentParser:
     running.add_argument(
         "--scheduler",
         metavar="tcp://HOST:PORT",
-        help="use the workers of this Dask scheduler; they have to see the results folder "
-        "under the same path (a shared file system)",
+        help="use the workers of this Dask scheduler, wherever they are: products travel "
+        "to them and back (tls:// with Dask's own configuration)",
     )
     running.add_argument("--retry-failed", action="store_true", help="run again what failed before")
     running.add_argument("--force", action="store_true", help="compute everything again")
@@ -360,6 +394,9 @@ def _parser() -> argparse.ArgumentParser:
     add(verify, takes_study=False).add_argument(
         "folder", metavar="RESULTS_DIR", type=Path, help="folder of all results"
     )
+    cleaning = add(clean, takes_study=False)
+    cleaning.add_argument("folder", metavar="RESULTS_DIR", type=Path, help="folder of all results")
+    cleaning.add_argument("--yes", action="store_true", help="free without asking")
     add(schema, takes_study=False)
     return parser
 

@@ -8,6 +8,7 @@ was measured: it alone differs between two runs that both start from nothing.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import os
 import platform
@@ -25,7 +26,7 @@ from model.scene import Scene
 from sweep.cases import Coordinate, coordinates
 from sweep.plan import Plan
 from sweep.stages import Status
-from sweep.store import DamagedError, MissingError, Store, rename_durably
+from sweep.store import DamagedError, MissingError, Store, rename_durably, write_durably
 from sweep.study import Study
 from sweep.versions import installed
 
@@ -36,6 +37,7 @@ __all__ = [
     "Verdict",
     "collect",
     "collected_digest",
+    "dataset_problem",
     "quantity_attributes",
     "verdict",
 ]
@@ -112,25 +114,46 @@ def collect(
             writer.describe(plan, digest)
         if writer.damaged:
             return writer.damaged
-        with open(aside, "rb") as written:
+        with open(aside, "rb+") as written:
             os.fsync(written.fileno())
+            sha256 = hashlib.file_digest(written, "sha256").hexdigest()
+        # between the two there is a dataset without a hash, which counts as none
+        _hash_file(path).unlink(missing_ok=True)
         rename_durably(aside, path)
+        write_durably(_hash_file(path), f"{sha256}  {path.name}\n".encode())
         return []
     finally:
         aside.unlink(missing_ok=True)
 
 
+def dataset_problem(path: Path) -> str | None:
+    """What is wrong with the dataset at `path` by the hash beside it, None if nothing is."""
+    try:
+        recorded = _hash_file(path).read_text(errors="replace").partition(" ")[0]
+    except FileNotFoundError:
+        return f"there is no {_hash_file(path).name} beside it"
+    with open(path, "rb") as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    return None if found == recorded else "the data differ from what was written"
+
+
+def _hash_file(path: Path) -> Path:
+    return path.with_name(path.name + ".sha256")  # as `sha256sum --check` reads it
+
+
 def collected_digest(path: Path) -> str | None:
     """Return what the dataset at `path` was made from, None where there is no whole dataset."""
+    if not path.exists() or dataset_problem(path):
+        return None
     with suppress(OSError, AttributeError, RuntimeError), netCDF4.Dataset(path) as file:
         return str(file.getncattr("demflow_digest"))
     return None
 
 
-def quantity_attributes(quantity: Quantity) -> dict[str, str]:
+def quantity_attributes(quantity: Quantity) -> dict[str, str | float]:
     """CF attributes of a quantity; what is a name has no unit."""
     unit = {"units": quantity.unit} if quantity.unit else {}
-    return {**unit, "long_name": quantity.long_name}
+    return {**unit, "long_name": quantity.long_name, **dict(quantity.constants)}
 
 
 @dataclass(frozen=True)
@@ -258,7 +281,8 @@ class _Writer:
             self._variable(name, quantity)
         for name, quantity in CASE.items():
             # what was asked for is there, be it NaN in every case
-            if set(quantity.needs) & set(self.labels.observed):
+            timeless = quantity.transient and len(self.labels.times) == 0
+            if set(quantity.needs) & set(self.labels.observed) and not timeless:
                 self._variable(name, quantity)
 
     def begin(self, tile: _Tile) -> None:

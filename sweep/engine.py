@@ -5,9 +5,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import itertools
-import os
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["Finished", "LockedError", "Prepared", "StoreError", "prepare", "run", "run_study"]
 
 STUDY_FILE, DATASET_FILE, REPORT_FILE = "study.yaml", "dataset.nc", "report.html"
+UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
 COLLECTOR = 1  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
@@ -108,7 +108,7 @@ def prepare(
     """
     study = load_study(path, smoke=smoke)
     builder = SceneBuilder(study.values, study.axes)
-    plan = make_plan(_scenes(study, builder), stage_table(table))
+    plan = planned(study, table)
 
     @functools.lru_cache(maxsize=512)
     def scene_of(case: int) -> Scene:
@@ -118,6 +118,12 @@ def prepare(
     return Prepared(
         study, plan, Store.open(root / "store", create=create), root / study.name, scene_of
     )
+
+
+def planned(study: Study, table: str = MODEL) -> Plan:
+    """Return the plan of all cases of a study."""
+    builder = SceneBuilder(study.values, study.axes)
+    return make_plan(_scenes(study, builder), stage_table(table))
 
 
 def run_study(
@@ -141,7 +147,7 @@ def run_study(
     workers : worker processes, one thread each.
     results : folder under which the results of all studies lie.
     scheduler : address of a Dask scheduler, instead of workers of this machine. Its
-        workers have to see the results folder under the same path.
+        workers need not see the results folder: products travel to them and back.
     retry_failed : run again what failed before.
     force : compute everything again, stored or not.
     smoke : apply the study's smoke block.
@@ -151,8 +157,8 @@ def run_study(
 
     Raises
     ------
-    StudyError, StoreError, LockedError before anything is run; RunError where the run as
-    a whole cannot go on. A case that fails is no error: it is in the dataset.
+    StudyError, StoreError, LockedError, SchedulerError before anything is run; RunError
+    where the run as a whole cannot go on. A case that fails is no error: it is in the dataset.
     """
     if workers < 1:
         raise ValueError(f"workers is {workers}; at least one is needed")
@@ -163,6 +169,7 @@ def run_study(
         prepared.folder.mkdir(exist_ok=True)
         for leftover in prepared.folder.glob("*.partial"):
             leftover.unlink(missing_ok=True)
+        _keep(prepared, UNFINISHED_FILE)
         executed, damaged = None, []
         for _ in range(ROUNDS):
             done = _execute(prepared, workers, scheduler, retry_failed, force, progress, table)
@@ -174,6 +181,7 @@ def run_study(
                 break
         else:
             raise StoreError(f"{prepared.store.root} does not keep what is written: {damaged[-1]}")
+        (prepared.folder / UNFINISHED_FILE).unlink(missing_ok=True)
         finished = Finished(
             folder=prepared.folder,
             cases=len(verdicts),
@@ -235,26 +243,6 @@ def draw_study(
         raise ResultsError(f"{dataset} does not exist; `demflow run` writes it")
     with FolderLock(prepared.folder.parent, f"demflow report {prepared.study.name}"):
         return draw(prepared, finished)
-
-
-def verify_store(results: str | Path) -> tuple[int, list[tuple[Path, str]], bool]:
-    """Re-hash every file of the store of a results folder.
-
-    Returns how many there are, those that are damaged, and whether these were set aside
-    (not in a folder that cannot be written). Raises StoreError where no store is there.
-    """
-    root = Path(results)
-    if not (root / "store" / "FORMAT").is_file():
-        raise StoreError(f"{root} is no results folder: there is no store in it")
-    store = Store.open(root / "store", create=False)
-    writable = os.access(root, os.W_OK)
-    checked, damaged = 0, []
-    with FolderLock(root, "demflow verify") if writable else nullcontext():
-        for path, problem in store.verify(set_aside=writable):
-            checked += 1
-            if problem is not None:
-                damaged.append((path, problem))
-    return checked, damaged, writable
 
 
 def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finished:
@@ -323,6 +311,13 @@ def _execute(
             costs.write(store)
 
 
+def _keep(prepared: Prepared, name: str) -> None:
+    """Keep the text of the study in its folder, so that others know what it refers to."""
+    path, text = prepared.folder / name, prepared.study.text.encode()
+    if not path.exists() or path.read_bytes() != text:
+        write_durably(path, text)
+
+
 def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
     """Write the dataset unless it is that of these products.
 
@@ -339,10 +334,8 @@ def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
     for ended in verdicts:
         told.update(f"{int(ended.status)} {ended.message}\n".encode())
     digest = told.hexdigest()
-    path, kept = prepared.folder / DATASET_FILE, prepared.folder / STUDY_FILE
-    text = study.text.encode()
-    if not kept.exists() or kept.read_bytes() != text:
-        write_durably(kept, text)
+    path = prepared.folder / DATASET_FILE
+    _keep(prepared, STUDY_FILE)
     if collected_digest(path) == digest:
         return verdicts, False, []
     # figures and report belong to one dataset: without a report they are drawn again

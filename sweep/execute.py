@@ -13,8 +13,10 @@ import os
 import signal
 import threading
 import time
+import uuid
 from collections import deque
 from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
@@ -28,8 +30,9 @@ from distributed import Client, Future, KilledWorker, LocalCluster
 from sweep.progress import Progress
 from sweep.schedule import Bundle, Schedule, Tally
 from sweep.stages import MODEL, Status
-from sweep.store import Store
-from sweep.worker import Job, Outcome, Task, run_job
+from sweep.store import DamagedError, MissingError, Store
+from sweep.versions import NUMERICAL, versions
+from sweep.worker import Job, Outcome, Task, introduce, run_job
 
 if TYPE_CHECKING:
     from model.scene import Scene
@@ -40,6 +43,7 @@ AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
 LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
 LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
 CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
+ANSWER_SECONDS = 2.0  # s to fetch an answer before looking whether its worker still lives
 
 # One thread per worker, whatever library it comes from; set before the workers start.
 ONE_THREAD = {
@@ -58,12 +62,20 @@ class RunError(RuntimeError):
     """The run as a whole cannot go on; what was finished is stored."""
 
 
+class SchedulerError(RunError):
+    """The workers that were named cannot be used; nothing was run."""
+
+
 @dataclass(frozen=True)
 class Limits:
-    """What a single stage run may take; None: no limit."""
+    """What one case may take; None: no limit.
+
+    A case takes the time of all stage runs that it is made of, shared ones in full, as if
+    it were alone: so it does not depend on its neighbours whether it keeps the limit.
+    """
 
     time: float | None = None  # s
-    memory: float | None = None  # bytes of resident memory of its worker
+    memory: float | None = None  # bytes of resident memory of the worker that is at it
 
 
 @dataclass
@@ -105,15 +117,17 @@ def execute(
     Parameters
     ----------
     schedule : the runs, and which of them are stored already.
-    store : where products go. Workers must see the same folder.
+    store : where products go. Workers of a scheduler that was named need not see it:
+        products travel to them and back.
     scene_of : the scene of a case by its index in the plan.
     table : where the table of stages lies, as `module:name`.
     workers : number of local worker processes.
     scheduler : address of an existing Dask scheduler, instead of local workers.
-    limits : what a single stage run may take.
+    limits : what one case may take.
     progress : called with the state of the run, several times a second.
 
-    Raises RunError where no worker can be had or the store cannot be written;
+    Raises SchedulerError where the scheduler or its workers cannot be used; RunError where
+    no worker can be had or the store cannot be written;
     KeyboardInterrupt passes through, after the workers have been ended.
     """
     begin = time.monotonic()
@@ -157,9 +171,12 @@ class _Execution:
         self.report = Executed()
         self.flights: dict[str, deque[_Flight]] = {}  # by worker, in the order of their work
         self.met: set[str] = set()
+        self.held: dict[str, set[str]] = {}  # products that a worker without a store was sent
+        self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
         self.dead: set[str] = set()
         self.events: SimpleQueue[tuple[str, _Flight]] = SimpleQueue()
         self.losses: dict[int, int] = {}
+        self.seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
         self.jobs = 0
         self.alive = time.monotonic()
 
@@ -185,36 +202,85 @@ class _Execution:
         addresses = self.pool.addresses() - self.dead
         if addresses:
             self.alive = time.monotonic()
-        # an empty job lets a new worker import the stages, which is no stage's time
         for address in sorted(addresses - self.met):
-            self._send(address, Bundle((), False, 0.0))
-            self.met.add(address)
+            self._greet(address)
+        greeted = {a for a in addresses if (line := self._line(a)) and not line[0].bundle.runs}
+        if greeted and self.jobs == len(self.met):
+            return  # before the first stage run, all workers are heard
+        addresses = addresses - greeted
         # first whoever has nothing to do, then whoever soon will have nothing
         for address in sorted(addresses):
             if not self._line(address):
-                self._send(address, self.schedule.next_bundle(alone_possible=True))
+                self._send_next(address, alone_possible=True)
         for address in sorted(addresses):
             line = self._line(address)
             if len(line) == 1 and not line[0].bundle.alone:
                 seconds = line[0].bundle.seconds
                 if seconds is not None and seconds < AHEAD_SECONDS:
-                    self._send(address, self.schedule.next_bundle(alone_possible=False))
+                    self._send_next(address, alone_possible=False)
         if addresses and not any(self.flights.values()):
             raise RunError(f"{self.schedule.pending} stage runs wait for each other")
 
     def _line(self, address: str) -> deque[_Flight]:
         return self.flights.setdefault(address, deque())
 
-    def _send(self, address: str, bundle: Bundle | None) -> None:
-        if bundle is None:
+    def _greet(self, address: str) -> None:
+        """Have a new worker import the stages and say which versions it runs."""
+        self.met.add(address)
+        self._submit(address, Bundle((), False, 0.0), introduce, self.table)
+
+    def _meet(self, address: str, found: dict[str, str]) -> None:
+        own = versions()
+        other = [name for name in ("demflow", *NUMERICAL) if found.get(name) != own[name]]
+        if other:
+            listed = ", ".join(f"{n} {found.get(n)} (here {own[n]})" for n in other)
+            raise self._refused(f"the worker {address} has {listed}; give all the same versions")
+
+    def _refused(self, message: str) -> RunError:
+        return RunError(message) if self.report.computed else SchedulerError(message)
+
+    def _send_next(self, address: str, *, alone_possible: bool) -> None:
+        while bundle := self.schedule.next_bundle(alone_possible):
+            tasks = tuple(self._task(run) for run in bundle.runs)
+            if self.pool.shares_store:
+                job = Job(str(self.store.root.resolve()), self.table, tasks)
+            else:
+                files = self._files_for(address, tasks)
+                if files is None:
+                    self.schedule.again(bundle.runs)
+                    continue
+                job = Job(None, self.table, tasks, files)
+            self._submit(address, bundle, run_job, job)
             return
-        tasks = tuple(self._task(run) for run in bundle.runs)
+
+    def _submit(
+        self, address: str, bundle: Bundle, function: Callable[[Any], Any], argument: Any
+    ) -> None:
         self.jobs += 1
-        job = Job(str(self.store.root.resolve()), self.table, tasks)
-        future = self.pool.submit(address, job, f"demflow-{os.getpid()}-{self.jobs}")
+        future = self.pool.submit(address, function, argument, f"{self.name}-{self.jobs}")
         flight = _Flight(bundle, future, time.monotonic())
         self._line(address).append(flight)
         future.add_done_callback(lambda _: self.events.put((address, flight)))
+
+    def _files_for(self, address: str, tasks: tuple[Task, ...]) -> dict[str, bytes] | None:
+        """Parents that a worker has not been sent yet; None where one is missing or damaged.
+
+        A worker drops what it has not used for long, and then says that it lost it.
+        """
+        held = self.held.setdefault(address, set())
+        held.update(task.id for task in tasks)
+        files: dict[str, bytes] = {}
+        for task in tasks:
+            for parent in task.parents:
+                if parent is None or parent in held:
+                    continue
+                try:
+                    files[parent] = self.store.content(parent)
+                except (MissingError, DamagedError) as error:
+                    self._lost(Outcome(task.run, Status.NOT_RUN, str(error), lost=parent))
+                    return None
+        held.update(files)
+        return files
 
     def _task(self, run: int) -> Task:
         entry, stage = self.plan.runs[run], self.plan.stage_of(run)
@@ -227,25 +293,55 @@ class _Execution:
         line = self._line(address)
         if flight not in line:
             return  # it was settled when its worker died
-        if flight.future.status == "finished":
+        answer = self._answer(address, flight) if flight.future.status == "finished" else None
+        if answer is not None:
             line.remove(flight)
             if line:
                 line[0].begin = time.monotonic()
-            self._settle(flight, flight.future.result())
+            if flight.bundle.runs:
+                self._settle(address, flight, answer)
+            else:
+                self._meet(address, answer)
             return
-        error = None if flight.future.cancelled() else flight.future.exception()
+        error = None
+        if flight.future.status == "error":
+            error = flight.future.exception()
         if error is None or isinstance(error, KilledWorker):
             self._bury(address)
+        elif not flight.bundle.runs:
+            raise self._refused(
+                f"the worker {address} cannot run demflow: {type(error).__name__}: {error}"
+            ) from error
         elif isinstance(error, OSError):
             raise RunError(f"the store cannot be used by a worker: {error}") from error
         else:
             raise RunError(f"a worker broke: {type(error).__name__}: {error}") from error
 
-    def _settle(self, flight: _Flight, outcomes: list[Outcome]) -> None:
+    def _answer(self, address: str, flight: _Flight) -> Any:
+        """What a worker answered, None where it died before the answer was fetched."""
+        while True:
+            try:
+                return flight.future.result(timeout=ANSWER_SECONDS)
+            except (KilledWorker, CancelledError):
+                return None
+            except TimeoutError:  # on its way still, or lost with the worker
+                if address not in self.pool.addresses():
+                    return None
+
+    def _settle(self, address: str, flight: _Flight, outcomes: list[Outcome]) -> None:
         for outcome in outcomes:
             if outcome.lost is not None:
-                self._lost(outcome)
-            elif outcome.status is Status.DONE:
+                held = self.held.get(address, set())
+                if outcome.lost in held:
+                    held.discard(outcome.lost)  # it goes along the next time
+                else:
+                    self._lost(outcome)
+                continue
+            good = outcome.status is Status.DONE
+            if outcome.file:
+                kind = "product" if good else "failed"
+                self.store.accept(self.plan.runs[outcome.run].id, outcome.file, kind)
+            if good:
                 self.report.computed += 1
                 self.schedule.done(outcome.run, outcome.seconds, outcome.stored, outcome.memory)
                 self.tally.finish(outcome.run, good=True)
@@ -319,25 +415,46 @@ class _Execution:
                 self._bury(address)
             elif not line[0].bundle.runs:
                 continue
-            elif verdict := self._excess(address, now - line[0].begin):
+            elif verdict := self._excess(address, line[0].bundle, now - line[0].begin):
                 self._bury(address, verdict)
                 self.pool.kill(address)
         if now - self.alive > LOST_FOR_GOOD:
             raise RunError(f"no worker for {LOST_FOR_GOOD:g} s; they may not be able to start")
 
-    def _excess(self, address: str, seconds: float) -> tuple[Status, str] | None:
+    def _excess(self, address: str, bundle: Bundle, seconds: float) -> tuple[Status, str] | None:
         time_limit, memory_limit = self.limits.time, self.limits.memory
-        if time_limit is not None and seconds > time_limit:
-            return Status.TIMED_OUT, (
-                f"not done after {time_limit:g} s, the study's limits.time; "
-                "raise it, or make the case smaller"
-            )
+        if time_limit is not None:
+            before = max(map(self._seconds_before, bundle.runs))
+            if before + seconds > time_limit:
+                earlier = f", {before:.3g} s of them in earlier stages" if before > 0.01 else ""
+                return Status.TIMED_OUT, (
+                    f"not done after {time_limit:g} s{earlier}, the study's limits.time; "
+                    "raise it, or make the case smaller"
+                )
         if memory_limit is not None and self.pool.memory(address) > memory_limit:
             return Status.OUT_OF_MEMORY, (
                 f"more than {memory_limit / 1e9:.3g} GB, the study's limits.memory; "
                 "raise it, or make the case smaller"
             )
         return None
+
+    def _seconds_before(self, run: int) -> float:
+        """What the runs that a run builds on took, s."""
+        ancestors: set[int] = set()
+        stack = [run]
+        while stack:
+            parents = {p for p in self.plan.runs[stack.pop()].parents if p >= 0}
+            stack += parents - ancestors
+            ancestors |= parents
+        return sum(map(self._seconds_of, ancestors))
+
+    def _seconds_of(self, run: int) -> float:
+        if run not in self.seconds:
+            try:
+                self.seconds[run] = self.store.meta(self.plan.runs[run].id)["seconds"]
+            except (MissingError, DamagedError):
+                return 0.0  # being computed in the same bundle; or the worker will miss it too
+        return self.seconds[run]
 
     def _show(self) -> None:
         if self.progress:
@@ -349,11 +466,15 @@ class _Execution:
 class _Pool(Protocol):
     """Workers, wherever they are."""
 
+    shares_store: bool  # whether they see the client's store; products travel otherwise
+
     def addresses(self) -> set[str]:
         """Workers that can be sent a job."""
 
-    def submit(self, address: str, job: Job, key: str) -> Future:
-        """Send a job to a worker."""
+    def submit(
+        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
+    ) -> Future:
+        """Have a worker call a function."""
 
     def kill(self, address: str) -> None:
         """End a worker, whatever it is doing; another takes its place."""
@@ -367,6 +488,8 @@ class _Pool(Protocol):
 
 class _Local:
     """Worker processes of this machine, listening on the loopback alone."""
+
+    shares_store = True
 
     def __init__(self, workers: int):
         self._config = dask.config.set(
@@ -390,9 +513,11 @@ class _Local:
         """Workers that can be sent a job."""
         return {a for nanny in self._nannies() if (a := nanny.worker_address) is not None}
 
-    def submit(self, address: str, job: Job, key: str) -> Future:
-        """Send a job to a worker."""
-        return _submit(self.client, address, job, key)
+    def submit(
+        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
+    ) -> Future:
+        """Have a worker call a function."""
+        return _submit(self.client, address, function, argument, key)
 
     def kill(self, address: str) -> None:
         """End a worker process at once; its nanny starts another."""
@@ -435,38 +560,62 @@ class _Local:
 
 
 class _Remote:
-    """Workers of a Dask cluster that runs already."""
+    """Workers of a Dask cluster that runs already, wherever they are."""
+
+    shares_store = False
 
     def __init__(self, scheduler: str):
+        # a parent product may be large, and is meant to travel
+        self._config = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
+        self.scheduler = scheduler
         try:
             self.client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise RunError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-        self._known: set[str] = set()
+        except (OSError, ValueError, TypeError) as error:
+            self._config.__exit__(None, None, None)
+            raise SchedulerError(f"no Dask scheduler answers at {scheduler}: {error}") from error
+        self._workers: dict[str, Any] = {}
         self._asked = -float("inf")
 
     def addresses(self) -> set[str]:
-        """Workers that can be sent a job; asked for once a second."""
-        if time.monotonic() - self._asked > 1.0:
-            self._known = set(self.client.nthreads())
-            self._asked = time.monotonic()
-        return self._known
+        """Workers that can be sent a job. Raises SchedulerError where one has many threads."""
+        workers = self._look()
+        for address, worker in workers.items():
+            if worker["nthreads"] != 1:
+                raise SchedulerError(
+                    f"the worker {address} has {worker['nthreads']} threads; "
+                    "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
+                )
+        return set(workers)
 
-    def submit(self, address: str, job: Job, key: str) -> Future:
-        """Send a job to a worker."""
-        return _submit(self.client, address, job, key)
+    def _look(self) -> dict[str, Any]:
+        """What the scheduler knows of its workers; asked for once a second."""
+        if time.monotonic() - self._asked > 1.0:
+            try:
+                self._workers = dict(self.client.scheduler_info()["workers"])
+            except (OSError, TimeoutError) as error:
+                raise RunError(f"the scheduler {self.scheduler} answers no longer") from error
+            self._asked = time.monotonic()
+        return self._workers
+
+    def submit(
+        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
+    ) -> Future:
+        """Have a worker call a function."""
+        return _submit(self.client, address, function, argument, key)
 
     def kill(self, address: str) -> None:
         """Have the worker's nanny start it anew."""
         self.client.restart_workers([address], timeout=30, raise_for_error=False)
 
     def memory(self, address: str) -> float:
-        """Not seen from here."""
-        return 0.0
+        """Resident memory of a worker as it told its scheduler last, bytes."""
+        worker = self._look().get(address, {})
+        return float(worker.get("metrics", {}).get("memory", 0.0))
 
     def close(self) -> None:
         """Leave the cluster as it was found."""
         self.client.close(timeout=10)
+        self._config.__exit__(None, None, None)
 
 
 def _started(workers: int) -> LocalCluster:
@@ -489,9 +638,17 @@ def _started(workers: int) -> LocalCluster:
     ) from cause
 
 
-def _submit(client: Client, address: str, job: Job, key: str) -> Future:
+def _submit(
+    client: Client, address: str, function: Callable[[Any], Any], argument: Any, key: str
+) -> Future:
     return client.submit(
-        run_job, job, key=key, workers=[address], allow_other_workers=False, pure=False, retries=0
+        function,
+        argument,
+        key=key,
+        workers=[address],
+        allow_other_workers=False,
+        pure=False,
+        retries=0,
     )
 
 

@@ -21,8 +21,8 @@ import hashlib
 import json
 import os
 import struct
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Container, Iterator, Mapping
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -165,8 +165,39 @@ class Store:
         except FileNotFoundError:
             raise MissingError(identity) from None
         except DamagedError as error:
-            self.set_aside(path)
+            put_aside(path)
             raise DamagedError(f"{path}: {error}") from None
+
+    def content(self, identity: str) -> bytes:
+        """Return a product as the bytes of its file, its hash checked. Raises as `get` does."""
+        path = self.path(identity)
+        try:
+            content = path.read_bytes()
+            _of(identity, unpack(content))
+        except FileNotFoundError:
+            raise MissingError(identity) from None
+        except DamagedError as error:
+            put_aside(path)
+            raise DamagedError(f"{path}: {error}") from None
+        return content
+
+    def accept(self, identity: str, content: bytes, kind: str = "product") -> None:
+        """Store a file that was packed elsewhere (or the record of a failure, kind "failed").
+
+        Raises DamagedError where it is not what was packed there, OSError.
+        """
+        _of(identity, unpack(content))
+        self.keep({identity: (kind, content)})
+
+    def keep(self, files: Mapping[str, tuple[str, bytes]]) -> None:
+        """Store packed files, kind and content by identity, in one flush. Raises OSError.
+
+        A product replaces the record of an earlier failure, and the other way round.
+        """
+        write_all_durably({self.path(i, kind): content for i, (kind, content) in files.items()})
+        for identity, (kind, _) in files.items():
+            other = "failed" if kind == "product" else "product"
+            self.path(identity, other).unlink(missing_ok=True)
 
     def meta(self, identity: str) -> dict[str, Any]:
         """Return a product's description alone. Raises as `get` does."""
@@ -176,7 +207,7 @@ class Store:
         except FileNotFoundError:
             raise MissingError(identity) from None
         except DamagedError as error:
-            self.set_aside(path)
+            put_aside(path)
             raise DamagedError(f"{path}: {error}") from None
 
     def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
@@ -192,22 +223,26 @@ class Store:
         except FileNotFoundError:
             return None
         except DamagedError:
-            self.set_aside(path)
+            put_aside(path)
             return None
 
     def forget_failure(self, identity: str) -> None:
         """Remove the record of a failed run, so that it runs again."""
         self.path(identity, "failed").unlink(missing_ok=True)
 
-    def set_aside(self, path: Path) -> None:
-        """Rename a damaged file out of the way; it stays for whoever wants to look."""
-        with suppress(FileNotFoundError):
-            os.replace(path, path.with_name(path.name + ".damaged"))
-
     def files(self) -> Iterator[Path]:
         """Every product and every record of a failure."""
+        return self._files(".product", ".failed")
+
+    def unwanted(self, wanted: Container[str]) -> Iterator[Path]:
+        """Files whose identity is not wanted, and those that were set aside."""
+        for path in self._files(".product", ".failed", ".damaged", ".partial"):
+            if path.suffix in (".damaged", ".partial") or path.stem not in wanted:
+                yield path
+
+    def _files(self, *suffixes: str) -> Iterator[Path]:
         for folder in sorted(self.root.glob("[0-9a-f][0-9a-f]")):
-            yield from sorted(p for p in folder.iterdir() if p.suffix in (".product", ".failed"))
+            yield from sorted(p for p in folder.iterdir() if p.suffix in suffixes)
 
     def verify(self, *, set_aside: bool = True) -> Iterator[tuple[Path, str | None]]:
         """Re-hash every file: its path, and what is wrong with it or None.
@@ -219,7 +254,7 @@ class Store:
                 _of(path.stem, unpack(path.read_bytes()))
             except DamagedError as error:
                 if set_aside:
-                    self.set_aside(path)
+                    put_aside(path)
                 yield path, str(error)
             else:
                 yield path, None
@@ -233,26 +268,56 @@ class Store:
         return count
 
 
+def put_aside(path: Path) -> None:
+    """Rename a damaged file out of the way; it stays for whoever wants to look."""
+    with suppress(FileNotFoundError):
+        os.replace(path, path.with_name(path.name + ".damaged"))
+
+
 def write_durably(path: Path, content: bytes) -> None:
     """Write a file so that, whatever happens, it is there whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
+    write_all_durably({path: content})
+
+
+def write_all_durably(files: Mapping[Path, bytes]) -> None:
+    """Write files so that, whatever happens, each of them is there whole or not at all.
+
+    Together they cost the file system few flushes, where one by one each costs it two.
+    """
+    asides = {path: path.with_name(f"{path.name}.{os.getpid()}.partial") for path in files}
     try:
-        with open(aside, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        rename_durably(aside, path)
+        with ExitStack() as stack:
+            opened = []
+            for path, content in files.items():
+                path.parent.mkdir(parents=True, exist_ok=True)
+                file = stack.enter_context(open(asides[path], "wb"))
+                file.write(content)
+                file.flush()
+                opened.append(file)
+            if len(opened) > 1 and hasattr(os, "posix_fadvise"):
+                for file in opened:  # sets all on their way, so that one flush waits for all
+                    os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+            for file in opened:
+                os.fsync(file.fileno())
+        for path, aside in asides.items():
+            os.replace(aside, path)
+        for folder in {path.parent for path in files}:
+            _flush_folder(folder)
     except BaseException:
         with suppress(OSError):
-            aside.unlink(missing_ok=True)
+            for aside in asides.values():
+                aside.unlink(missing_ok=True)
         raise
 
 
 def rename_durably(aside: Path, path: Path) -> None:
     """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
     os.replace(aside, path)
-    folder = os.open(path.parent, os.O_RDONLY)
+    _flush_folder(path.parent)
+
+
+def _flush_folder(path: Path) -> None:
+    folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:

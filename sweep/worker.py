@@ -1,8 +1,10 @@
 """What happens inside a worker process: take the parents, run the stage, store the product.
 
 A job comes as plain data and the answer goes back as plain data of a few hundred bytes;
-products never travel, they lie in the store. Whatever a stage does, the answer is an
-`Outcome`; only a store that cannot be written is an error of the whole run.
+products do not travel, they lie in the store. A worker elsewhere, which has no store, gets
+the parents' files with the job and gives its own files back with the answer: the same bytes
+that it would have stored. Whatever a stage does, the answer is an `Outcome`; only a store
+that cannot be written is an error of the whole run.
 """
 
 from __future__ import annotations
@@ -16,14 +18,14 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from model.outcome import ModelError
 from model.parameters import SceneError
 from sweep.stages import Status, stage_table
-from sweep.store import DamagedError, MissingError, Store, canonical
+from sweep.store import DamagedError, MissingError, Store, Stored, canonical, pack, unpack
 from sweep.versions import versions
 
 if TYPE_CHECKING:
@@ -48,9 +50,10 @@ class Task(NamedTuple):
 class Job:
     """Stage runs for one worker, in order."""
 
-    store: str  # where the products lie
+    store: str | None  # where the products lie; None: they travel
     table: str  # where the table of stages lies
     tasks: tuple[Task, ...]
+    files: Mapping[str, bytes] = field(default_factory=dict)  # of parents that travel, by identity
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,13 @@ class Outcome:
     stored: int = 0  # bytes
     memory: int = 0  # largest resident memory of this process so far, bytes
     lost: str | None = field(default=None, kw_only=True)
+    file: bytes = field(default=b"", kw_only=True)  # what a worker without a store would store
+
+
+def introduce(table: str) -> dict[str, str]:
+    """Import the stages, which is no stage's time, and return the versions of this worker."""
+    stage_table(table)
+    return versions()
 
 
 def run_job(job: Job) -> list[Outcome]:
@@ -73,21 +83,56 @@ def run_job(job: Job) -> list[Outcome]:
     where the store cannot be written.
     """
     stages = {stage.name: stage for stage in stage_table(job.table)}
-    store = Store(Path(job.store))
+    held = _Held(Store(Path(job.store)) if job.store is not None else None, job.files)
     outcomes: list[Outcome] = []
     failed: set[str] = set()
     for task in job.tasks:
         if failed.intersection(filter(None, task.parents)):
             failed.add(task.id)
             continue
-        outcome = _run(task, stages, store)
+        outcome = _run(task, stages, held)
         if outcome.status is not Status.DONE:
             failed.add(task.id)
+        if held.store is None and task.id in held.made:
+            outcome = replace(outcome, file=held.made[task.id][1])
         outcomes.append(outcome)
+    if held.store is not None:
+        held.store.keep(held.made)
     return outcomes
 
 
-def _run(task: Task, stages: Mapping[str, Stage], store: Store) -> Outcome:
+class _Held:
+    """What a job made so far, before the store or what came with the job.
+
+    It is stored when the job ends: a job is one run, or some that take a moment together,
+    and one flush serves them all.
+    """
+
+    def __init__(self, store: Store | None, files: Mapping[str, bytes]):
+        self.store, self.files = store, files
+        self.made: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity
+
+    def get(self, identity: str) -> Stored:
+        """Return a product. Raises MissingError, DamagedError."""
+        if identity in self.made:
+            return unpack(self.made[identity][1])
+        if identity in self.files:
+            return unpack(self.files[identity])
+        if self.store is None:
+            raise MissingError(identity)
+        return self.store.get(identity)
+
+    def put(self, identity: str, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> int:
+        """Take a product and return its size in bytes."""
+        self.made[identity] = ("product", pack(arrays, {**meta, "id": identity}))
+        return len(self.made[identity][1])
+
+    def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
+        """Take the record of a failure."""
+        self.made[identity] = ("failed", pack({}, {**meta, "id": identity}))
+
+
+def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     stage = stages[task.stage]
     parents: list[Any] = []
     for name, identity in zip(stage.parents, task.parents, strict=True):
@@ -95,7 +140,7 @@ def _run(task: Task, stages: Mapping[str, Stage], store: Store) -> Outcome:
             parents.append(None)
             continue
         try:
-            parents.append(build(stages[name].product, _load(store, identity)))
+            parents.append(build(stages[name].product, _load(held, identity)))
         except (MissingError, DamagedError) as error:
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
     begin = time.perf_counter()
@@ -118,9 +163,9 @@ def _run(task: Task, stages: Mapping[str, Stage], store: Store) -> Outcome:
     meta |= {"worker": os.getpid(), "versions": versions()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     if status is not Status.DONE:
-        store.put_failure(task.id, {**meta, "status": int(status), "message": message})
+        held.put_failure(task.id, {**meta, "status": int(status), "message": message})
         return Outcome(task.run, status, message, seconds, memory=memory)
-    size = store.put(task.id, arrays, meta)
+    size = held.put(task.id, arrays, meta)
     _memory.put(task.id, arrays)
     return Outcome(task.run, status, message, seconds, size, memory)
 
@@ -167,10 +212,10 @@ class _Memory:
 _memory = _Memory(CACHE_BYTES)
 
 
-def _load(store: Store, identity: str) -> Mapping[str, np.ndarray]:
+def _load(held: _Held, identity: str) -> Mapping[str, np.ndarray]:
     arrays = _memory.get(identity)
     if arrays is None:
-        arrays = store.get(identity).arrays
+        arrays = held.get(identity).arrays
         _memory.put(identity, arrays)
     return arrays
 

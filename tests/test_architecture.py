@@ -12,7 +12,8 @@ MODEL = (
     ("model.parameters",),
     ("model.region",),
     ("model.scene",),
-    ("model.outcome", "model.compile", "model.products", "model.quantities", "model.transient"),
+    ("model.outcome", "model.compile", "model.products", "model.transient"),
+    ("model.quantities",),
     ("model.mechanics",),
     ("model.network",),
     ("model.flow",),
@@ -39,7 +40,7 @@ SWEEP = (
     ("sweep.figures",),
     ("sweep.report",),
     ("sweep.engine",),
-    ("sweep.forecast",),
+    ("sweep.forecast", "sweep.upkeep"),
     ("sweep.cli",),
 )
 # All that a study needs of the model: what a scene is, what is measured, how a case ended.

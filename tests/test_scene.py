@@ -256,3 +256,35 @@ def test_every_parameter_says_what_it_is():
             if declared.name != "name":
                 assert declared.metadata["help"], (made, declared.name)
     assert set(parts.__all__) >= {made.__name__ for made in GOOD}
+
+
+@pytest.mark.parametrize(
+    ("changed", "path"),
+    [
+        ({"wells": (Well(name="w", at=(0.0, 0.0), radius=30.0, rate=1.0),)}, "wells.w.radius"),
+        ({"wells": (Well(name="w", at=(0.9, 0.0), radius=0.2, rate=1.0),)}, "wells.w.radius"),
+        (
+            {"fractures": (Trace(name="t", aperture=1e-4, start=(5.0, 5.0), end=(9.0, 5.0)),)},
+            "fractures.t.from",
+        ),
+        (
+            {
+                "fractures": (
+                    BiWing(name="b", aperture=1e-4, at=(9, 9), angle=0.0, half_length=1.0),
+                )
+            },
+            "fractures.b.at",
+        ),
+        (
+            {
+                "fractures": (
+                    FractureSet(name="s", aperture=1e-4, angle=0.3, length=1.0, spacing=1e-6),
+                )
+            },
+            "fractures.s.spacing",
+        ),
+        ({"solver": Solver(method="steady")}, "times"),
+    ],
+)
+def test_what_cannot_act_is_refused(changed, path):
+    assert path in problems(lambda: good(**changed))

@@ -111,7 +111,7 @@ def explicit(problem: Problem) -> Answer:
         pores = slice(0, system.pores)
         rate[pores] = _net_flow(system, rhs, p)[pores] / system.storage[pores]
         residual = max(residual, relative_residual(system, rhs, rate, p))
-    return answer._replace(residual=residual, work=int(steps.sum()))
+    return answer._replace(time_error=math.nan, residual=residual, work=int(steps.sum()))
 
 
 def _net_flow(system: System, rhs: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -5,10 +5,16 @@ constants and shift-and-invert images (G + s C)⁻¹ C v for a few real poles s,
 Galerkin projection is solved exactly in time through its eigenvalues. The constants make
 the projection conserve volume to round-off. (Rational Krylov for evolution equations:
 Güttel 2013, GAMM-Mitt. 36; poles between 1/t_last and 1/t_first.)
+
+The error is estimated from how the recorded outputs move while the space grows. The change
+over a window of vectors is the error that the space had at the window's start; the same
+reduction once more gives the error that it has now.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from typing import NamedTuple
 
@@ -20,8 +26,18 @@ from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative
 from model.flow.system import System, without_outlet
 from model.outcome import ModelError
 
-POLES_PER_DECADE = 0.8
-MOST_CYCLES = 40
+POLES_PER_DECADE = 0.6
+FEWEST_POLES = 3
+MOST_CYCLES = 60
+
+# The reduction of the error is not even; the estimate is taken this much larger.
+CAUTION = 2.5
+
+# Part of the way to the tolerance, at the rate seen, that the space grows between two checks.
+STRIDE = 0.2
+
+# A check costs what this part of the vectors did; larger spaces are checked less often.
+CHECK_COST = 32
 
 # Lags at which maps are compared between cycles; the error of a map changes slowly in time.
 MAP_CHECKS = 8
@@ -37,16 +53,16 @@ class Basis(NamedTuple):
     """A C-orthonormal basis of the pores and what is needed of it."""
 
     vectors: np.ndarray  # (pores, m)
-    decay: np.ndarray  # (m,) eigenvalues of the projection, 1/s
-    modes: np.ndarray  # (m, m) its eigenvectors
-    load: np.ndarray  # (m,) source in the eigenvectors
+    decay: np.ndarray  # (k,) eigenvalues of the projection, 1/s, k ≤ m
+    modes: np.ndarray  # (m, k) its eigenvectors
+    load: np.ndarray  # (k,) source in the eigenvectors
 
 
 def krylov(problem: Problem) -> Answer:
     """Step responses to the tolerance, source by source, the factors shared between them.
 
-    The error estimate is the change over one full cycle of poles. Raises `ModelError`
-    where `MOST_CYCLES` cycles do not bring it below the tolerance.
+    Raises `ModelError` where `MOST_CYCLES` cycles of poles do not bring the estimated error
+    below the tolerance.
     """
     system = problem.system
     wells = algebraic(system)
@@ -73,21 +89,20 @@ def _no_basis() -> Basis:
 
 
 def _poles(lag: np.ndarray) -> np.ndarray:
-    """Shifts s > 0, evenly spread in log s over the reciprocal lags."""
+    """Shifts s > 0, falling, evenly spread in log s over the reciprocal lags."""
     first, last = lag[lag > 0][0], lag[-1]
-    count = 1 + max(1, math.ceil(POLES_PER_DECADE * math.log10(last / first)))
-    edges = np.linspace(math.log(1.0 / last), math.log(1.0 / first), count)
-    return np.exp(edges)
+    count = max(FEWEST_POLES, round(POLES_PER_DECADE * math.log10(last / first)))
+    return np.geomspace(1.0 / first, 1.0 / last, count)
 
 
 def _factors(system: System, poles: np.ndarray) -> list[Factor]:
     """Factors of G + s C for every pole, on one symbolic analysis.
 
-    Pole 0 comes last, where the pressure has a steady state: its image of C⁻¹f is that state.
+    Pole 0 comes first, where the pressure has a steady state: its image of C⁻¹f is that state.
     """
     symbolic = analyse(system.n, system.edge_i, system.edge_j)
     if not without_outlet(system):
-        poles = np.append(poles, 0.0)
+        poles = np.insert(poles, 0, 0.0)
     return [
         factorise(symbolic, system.edge_g, system.excess + pole * system.storage) for pole in poles
     ]
@@ -96,43 +111,68 @@ def _factors(system: System, poles: np.ndarray) -> list[Factor]:
 def _basis(
     problem: Problem, source: int, wells: Algebraic, factors: list[Factor]
 ) -> tuple[Basis, float, int]:
-    """Grow the space cycle by cycle until the recorded outputs stand still."""
+    """Grow the space until the recorded outputs have converged; basis, error estimate, solves."""
     system = problem.system
     pores = system.pores
-    storage = system.storage[:pores]
-    root = np.sqrt(storage)
+    root = np.sqrt(system.storage[:pores])
     rhs = wells.reduce_source(system.source(source))
-    space = np.empty((pores, 2 + MOST_CYCLES * len(factors)))
+    most = MOST_CYCLES * len(factors)
+    space = np.empty((pores, min(pores, 1 + most) + 1), order="F")  # touched only where used
     count = _append(space, 0, rhs / root)
-    before = None
-    estimate, solves = math.inf, 0
-    for _ in range(MOST_CYCLES):
-        for factor in factors:
+    cycle = len(factors)
+    estimate, solves, wanted = math.inf, 0, 3
+    while True:
+        for factor in itertools.islice(itertools.cycle(factors), solves, wanted):
             if count == pores:
                 break
             load = np.zeros(system.n)
             load[:pores] = root * space[:, count - 1]
-            image = solve(factor, load)[:pores]
+            count += _append(space, count, root * solve(factor, load)[:pores])
             solves += 1
-            count += _append(space, count, root * image)
         # the constants stay out of the sequence, which must remain a Krylov space of C⁻¹f
         complete = count + _append(space, count, root)
-        vectors = space[:, :complete] / root[:, None]
-        basis = _project(_edge_triangle(system, wells, vectors), vectors, rhs)
-        now = _checked_outputs(problem, source, wells, basis)
-        if before is not None:
-            estimate = max(
-                _difference(a, b, scale) for (a, scale), (b, _) in zip(now, before, strict=True)
-            )
+        nest = _nest(system, wells, space[:, :complete], rhs, root)
         if complete == pores:
-            return basis, 0.0, solves
+            return nest.basis(count), 0.0, solves
+        estimate, rate = _estimate(problem, source, wells, nest, count, cycle)
         if estimate <= problem.tolerance:
-            return basis, estimate, solves
-        before = now
+            return nest.basis(count), estimate, solves
+        if wanted >= most:
+            break
+        further = math.log(problem.tolerance / estimate) / math.log(rate) if estimate < 1.0 else 0.0
+        stride = min(cycle, int(STRIDE * further)) + 1 + solves // CHECK_COST
+        wanted = min(most, solves + stride)
     raise ModelError(
         f"krylov reached a relative error of {estimate:.2g} in {MOST_CYCLES} cycles, not "
         f"{problem.tolerance:g}; raise solver.tolerance, or record fewer decades of time"
     )
+
+
+def _estimate(
+    problem: Problem, source: int, wells: Algebraic, nest: Nest, count: int, cycle: int
+) -> tuple[float, float]:
+    """Error of the space's `count` vectors and the factor by which each further one reduces it.
+
+    With d the largest change of an output over the last w vectors and b that over the w
+    before, the error is d · d / b; where there were none before, b is 1, the error of no
+    vectors. The largest estimate counts of w = 2, which sees the rate, and of a cycle of
+    poles and one less, which see every range of times.
+    """
+
+    @functools.cache
+    def seen(size: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        return _checked_outputs(problem, source, wells, nest.basis(size))
+
+    widths = [w for w in {2, cycle - 1, cycle} if count >= w + 2]
+    worst, slowest = 0.0 if widths else math.inf, 0.0
+    for width in widths:
+        change, before = _change(seen(count), seen(count - width)), 1.0
+        if count >= 2 * width + 2:
+            before = _change(seen(count - width), seen(count - 2 * width))
+        reduction = min(1.0, change / before) if before > 0.0 else 1.0
+        worst = max(worst, CAUTION * change * reduction)
+        slowest = max(slowest, reduction ** (1.0 / width))
+    return worst, min(max(slowest, 0.1), 0.9)
 
 
 def _append(space: np.ndarray, count: int, vector: np.ndarray) -> int:
@@ -141,15 +181,51 @@ def _append(space: np.ndarray, count: int, vector: np.ndarray) -> int:
     if size == 0.0 or count == len(space):
         return 0
     vector = vector / size
-    for _ in range(2):
-        vector = vector - space[:, :count] @ (space[:, :count].T @ vector)
-    size = np.linalg.norm(vector)
-    if size < 1e-13:
-        return 0
-    vector = vector / size
-    vector = vector - space[:, :count] @ (space[:, :count].T @ vector)
-    space[:, count] = vector / np.linalg.norm(vector)
+    known = space[:, :count]
+    left = 1.0
+    for _ in range(3):
+        vector = vector - known @ (known.T @ vector)
+        before, left = left, float(np.linalg.norm(vector))
+        if left < 1e-13:
+            return 0
+        if left > 0.5 * before:  # twice is enough (Kahan and Parlett)
+            break
+    space[:, count] = vector / left
     return 1
+
+
+class Nest(NamedTuple):
+    """The nested spaces of the first k vectors and the constants."""
+
+    vectors: np.ndarray  # (pores, m) C-orthonormal
+    triangle: np.ndarray  # (…, m) R with RᵀR = VᵀGV
+    load: np.ndarray  # (m,) Vᵀf
+    constants: np.ndarray  # (m,) coordinates of the constants
+
+    def basis(self, size: int) -> Basis:
+        """Projection on the space of the first `size` vectors and the constants."""
+        chosen = np.eye(len(self.load), size + 1)
+        rest = self.constants.copy()
+        rest[:size] = 0.0
+        left = np.linalg.norm(rest)
+        if left > 1e-13 * np.linalg.norm(self.constants):
+            chosen[:, size] = rest / left
+        else:
+            chosen = chosen[:, :size]
+        _, singular, modes = np.linalg.svd(self.triangle @ chosen)
+        decay = np.zeros(chosen.shape[1])
+        decay[: len(singular)] = singular**2
+        modes = chosen @ modes.T
+        return Basis(self.vectors, decay, modes, modes.T @ self.load)
+
+
+def _nest(
+    system: System, wells: Algebraic, space: np.ndarray, rhs: np.ndarray, root: np.ndarray
+) -> Nest:
+    """Project the conductance on an orthonormal space (pores, m) of √C p."""
+    vectors = np.ascontiguousarray(space / root[:, None])
+    triangle = _edge_triangle(system, wells, vectors)
+    return Nest(vectors, triangle, vectors.T @ rhs, space.T @ root)
 
 
 def _edge_triangle(system: System, wells: Algebraic, vectors: np.ndarray) -> np.ndarray:
@@ -172,14 +248,6 @@ def _edge_triangle(system: System, wells: Algebraic, vectors: np.ndarray) -> np.
 def _triangle(above: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """R of the QR decomposition of two blocks of rows."""
     return np.asarray(np.linalg.qr(np.concatenate([above, rows]), mode="r"))
-
-
-def _project(triangle: np.ndarray, vectors: np.ndarray, rhs: np.ndarray) -> Basis:
-    """Eigenvalues and eigenvectors of the projected conductance."""
-    _, singular, modes = np.linalg.svd(triangle)
-    decay = np.zeros(vectors.shape[1])
-    decay[: len(singular)] = singular**2
-    return Basis(vectors, decay, modes.T, modes @ (vectors.T @ rhs))
 
 
 def _amplitudes(basis: Basis, lag: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -238,7 +306,8 @@ def _checked_outputs(
         size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
     if own_well >= 0:
         size[:, own_well] = np.abs(output[:, own_well])
-    checked = [(output, size)]
+    counts = ~is_flow | problem.check_flows
+    checked = [(output[:, counts], size[:, counts])]
     if len(problem.domain):
         some = np.unique(np.linspace(0, len(lag) - 1, MAP_CHECKS).astype(int))
         fields = amplitude[some] @ basis.vectors.T
@@ -246,11 +315,15 @@ def _checked_outputs(
     return checked
 
 
-def _difference(now: np.ndarray, before: np.ndarray, scale: np.ndarray) -> float:
-    positive = scale > 0
-    if not positive.any():
-        return 0.0
-    return float(np.max(np.abs(now - before)[positive] / scale[positive]))
+def _change(
+    now: list[tuple[np.ndarray, np.ndarray]], before: list[tuple[np.ndarray, np.ndarray]]
+) -> float:
+    """Largest difference between two sets of checked outputs over the size of the first."""
+    worst = 0.0
+    for (new, scale), (old, _) in zip(now, before, strict=True):
+        counts = scale > 0
+        worst = max(worst, np.max(np.abs(new - old)[counts] / scale[counts], initial=0.0))
+    return float(worst)
 
 
 def _record(problem: Problem, source: int, wells: Algebraic, basis: Basis, answer: Answer) -> None:

@@ -24,6 +24,7 @@ class Problem(NamedTuple):
     domain: np.ndarray  # (m,) domains of the maps, empty where none is asked for
     tolerance: float
     safety_factor: float
+    check_flows: bool = True  # inflows at fixed pressures are held to the tolerance too
 
     @property
     def active_sources(self) -> list[int]:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from model.flow.explicit import explicit
+from model.flow.implicit import implicit
 from model.flow.krylov import krylov
 from model.flow.problem import Answer, Problem
 from model.flow.records import outputs
@@ -33,6 +34,7 @@ class FlowSolver(NamedTuple):
 
 SOLVERS: dict[str, FlowSolver] = {
     "explicit": FlowSolver(explicit, transient=True, controls_error=False),
+    "implicit": FlowSolver(implicit, transient=True, controls_error=True),
     "krylov": FlowSolver(krylov, transient=True, controls_error=True),
     "steady": FlowSolver(steady, transient=False, controls_error=True),
 }
@@ -124,10 +126,10 @@ def flow(
         cumulative=answer.cumulative,
         pressure=answer.pressure,
         domain=problem.domain,
-        reached=(system.node_of_domain[problem.domain] >= 0)
-        | (system.source_of_domain[problem.domain] >= 0),
+        reached=system.reached(problem.domain),
         time_error=np.asarray(answer.time_error),
         residual=np.asarray(answer.residual),
         work=np.asarray(answer.work),
+        probe_reached=system.reached(probe_domains),
         isolated=np.asarray(system.isolated),
     )

@@ -80,6 +80,10 @@ class System(NamedTuple):
         """Conductance of each unknown to fixed pressures, (n,) m³/(s Pa)."""
         return np.bincount(self.fixed_node, weights=self.fixed_g, minlength=self.n)
 
+    def reached(self, domains: np.ndarray) -> np.ndarray:
+        """Which domains have a pressure that some source moves, as a mask."""
+        return (self.node_of_domain[domains] >= 0) | (self.source_of_domain[domains] >= 0)
+
     def source(self, index: int) -> np.ndarray:
         """Right-hand side for a unit of one source: 1 Pa, or 1 m³/s produced, (n,)."""
         if index < self.fixed_count:

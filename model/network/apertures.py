@@ -50,6 +50,7 @@ def uniform(network: Network, aperture: float, viscosity: float) -> Apertures:
         trace_fracture=np.empty(0, dtype=np.int64),
         trace_transmissivity=np.empty(0),
         trace_pipes=np.empty(0, dtype=np.int64),
+        trace_acts=np.empty(0, dtype=np.int64),
         pipe_trace_from=np.full(p, np.nan),
         pipe_trace_to=np.full(p, np.nan),
         matrix_aperture=np.asarray(float(aperture)),
@@ -90,6 +91,7 @@ def open_pipes(
     unstressed = result.aperture.copy()
     lines = [line for line in lines_of(fractures, region) if line.length > 0.0]
     chains = [chain_along(network, line) for line in lines]
+    acts = np.zeros(len(lines), dtype=np.int64)
 
     for index, (line, chain) in enumerate(zip(lines, chains, strict=True)):
         fracture = fractures[line.fracture]
@@ -98,6 +100,7 @@ def open_pipes(
             pipes = np.concatenate([chain.pipe, [p for p in chain.rim_pipe if p >= 0]]).astype(int)
             wider = unstressed[pipes] <= wide
             unstressed[pipes[wider]] = wide
+            acts[index] = np.count_nonzero(wider)
             _claim(result, pipes, wider, index)
 
     aperture = _stressed(network, stress, unstressed, matrix)
@@ -111,13 +114,14 @@ def open_pipes(
     for index, (line, chain) in enumerate(zip(lines, chains, strict=True)):
         fracture = fractures[line.fracture]
         if fracture.aperture is not None:
-            _calibrate(network, result, index, chain, fracture.aperture, viscosity)
-    for line in lines:
+            acts[index] = _calibrate(network, result, index, chain, fracture.aperture, viscosity)
+    for index, line in enumerate(lines):
         multiplier = fractures[line.fracture].transmissibility_multiplier
         if multiplier is not None:
             across = pipes_across(network, line)
             result.conductance[across] *= multiplier
             result.cut_conductance[across[network.cut]] *= multiplier
+            acts[index] = np.count_nonzero(across)
     return result._replace(
         trace_start=np.array([line.start for line in lines]).reshape(-1, 2),
         trace_end=np.array([line.end for line in lines]).reshape(-1, 2),
@@ -126,6 +130,7 @@ def open_pipes(
             [transmissivity(fractures[line.fracture].aperture or 0.0, viscosity) for line in lines]
         ),
         trace_pipes=np.array([len(chain.pipe) for chain in chains], dtype=np.int64),
+        trace_acts=acts,
     )
 
 
@@ -163,8 +168,11 @@ def _calibrate(
     chain: Chain,
     aperture: float,
     viscosity: float,
-) -> None:
-    """Give the pipes along a trace T / Δs, which telescopes to T / length (in place)."""
+) -> int:
+    """Give the pipes along a trace T / Δs, which telescopes to T / length (in place).
+
+    Returns the number of pipes that it widened.
+    """
     carried = transmissivity(aperture, viscosity)
     conductance = carried / np.diff(chain.place)
     wins = conductance > result.conductance[chain.pipe]
@@ -176,6 +184,7 @@ def _calibrate(
     near, far = chain.place[:-1][wins], chain.place[1:][wins]
     result.pipe_trace_from[pipes] = np.where(forward, near, far)
     result.pipe_trace_to[pipes] = np.where(forward, far, near)
+    widened = np.count_nonzero(wins)
     for pipe, distance in zip(
         chain.rim_pipe,
         (chain.place[:1], chain.length - chain.place[-1:]),
@@ -188,7 +197,9 @@ def _calibrate(
         if wins_rim:
             result.cut_conductance[crossing] = carried / distance[0]
             result.aperture[pipe] = aperture
+            widened += 1
         _claim(result, np.array([pipe]), np.array([wins_rim]), index)
+    return int(widened)
 
 
 def _claim(result: Apertures, pipes: np.ndarray, wins: np.ndarray, index: int) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from model.compile import kernel
 from model.products import Network
 from model.region import Region, bounding_box, clip_segment, contains
-from model.scene import BiWing, Fracture, FractureSet
+from model.scene import Fracture, FractureSet
 
 # Places along a trace are kept apart by this part of their mean distance: two contacts of
 # one grain can meet the line at the same point.
@@ -130,13 +130,8 @@ def _segments(
     fracture: Fracture, region: Region
 ) -> list[tuple[tuple[float, float], tuple[float, float]]]:
     """Ends of every straight piece of a fracture, before clipping."""
-    if isinstance(fracture, BiWing):
-        dx = fracture.half_length * math.cos(fracture.angle)
-        dy = fracture.half_length * math.sin(fracture.angle)
-        x, y = fracture.at
-        return [((x - dx, y - dy), (x + dx, y + dy))]
     if not isinstance(fracture, FractureSet):
-        return [(fracture.start, fracture.end)]
+        return [fracture.ends]
     along = np.array([math.cos(fracture.angle), math.sin(fracture.angle)])
     across = np.array([-along[1], along[0]])
     xmin, xmax, ymin, ymax = bounding_box(region)

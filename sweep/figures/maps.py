@@ -158,7 +158,7 @@ def draw_maps(
     figure.suptitle(heading, fontsize=10.5)
     shown = ", ".join(titles)
     caption = f"Pore pressure, {heading.replace(chr(10), ', ')}: {shown}. Each polygon is a pore"
-    caption += ", fractures are white lines" if scene.fractures else ""
+    caption += ", white lines are pipes along fractures" if scene.fractures else ""
     caption += ", wells are circles." if scene.wells else "."
     if any(beyond):
         caption += f" Colours end at the percentiles {CLIP[0]:g} and {CLIP[1]:g}."

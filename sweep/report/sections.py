@@ -111,10 +111,23 @@ def key_numbers(dataset: xr.Dataset) -> str:
     text = grid(("quantity", "unit", "least", "median", "greatest"), rows) if rows else ""
     if worst:
         text += grid(("quality", "meaning", "worst case"), worst)
+    if "well_pressure" in dataset:
+        below = int(np.count_nonzero(np.nanmin(_by_case(dataset), axis=1, initial=0.0) < 0.0))
+        if below:
+            text += (
+                f"<p>In {below} cases the pressure of a well falls below zero: no liquid bears "
+                "that. The rate is more than the rock yields at this initial pressure.</p>"
+            )
     if "compute_time" in dataset:
         seconds = float(dataset["compute_time"].sum())
         text += f"<p>Computing took {plain_number(seconds)} s in all.</p>"
     return text or "<p>No case has a result yet.</p>"
+
+
+def _by_case(dataset: xr.Dataset) -> np.ndarray:
+    """Well pressures of every case, (cases, values)."""
+    pressure = dataset["well_pressure"].values
+    return pressure.reshape(dataset["status"].size, -1)
 
 
 def _range(name: str, values: xr.DataArray, unit: str) -> list[tuple[object, ...]]:

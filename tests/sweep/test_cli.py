@@ -66,7 +66,7 @@ def test_a_good_study_from_plan_to_verify(good, capsys):
     assert toys.demflow("status", str(path), *place, "--json") == 0
     assert json.loads(capsys.readouterr().out)["done"] == 3
     assert cli.main(["verify", results]) == 0
-    assert capsys.readouterr().out == "8 files checked, 0 damaged\n"
+    assert capsys.readouterr().out == "9 files checked, 0 damaged\n"
 
 
 def test_a_plan_of_what_was_measured(good, capsys):

@@ -10,7 +10,6 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
-from sweep.execute import RunError, _Remote
 from sweep.results import open_results
 from sweep.stages import Status
 from tests.sweep import toy_stages, toys
@@ -87,6 +86,17 @@ def test_a_limit_that_was_raised_is_tried_again(poisoned):
     lowered = toys.run(variant(path, rates, "1.9 s"), finished.folder.parent)
     assert raised.executed.failed == 1
     assert lowered.executed is None
+
+
+def test_the_time_of_a_case_is_that_of_all_its_stages(tmp_path):
+    seeds = (1, toy_stages.SLOW_SEED)  # with this one two stages take 1.2 s each
+    path = toys.write_study(
+        tmp_path, seeds=seeds, stresses=(), rates=(1.0,), seconds=1.2, limits="{time: 2 s}"
+    )
+    dataset = open_results(toys.run(path, tmp_path / "results").folder)
+    assert list(dataset.status.values.ravel()) == [Status.DONE, Status.TIMED_OUT]
+    message = dataset.message.values.ravel()[1]
+    assert message.startswith("flow: not done after 2 s, 1.2 s of them in earlier stages")
 
 
 def test_a_case_that_grows_is_stopped_at_its_memory_limit(tmp_path):
@@ -182,9 +192,3 @@ def test_a_running_scheduler_can_be_used(tmp_path):
         finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
         assert len(cluster.scheduler.workers) == 1  # left as it was found
     assert (finished.cases, finished.failed) == (2, 1)
-
-
-def test_no_scheduler_is_said_clearly(tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.execute.CONNECT_SECONDS", 0.5)
-    with pytest.raises(RunError, match="no Dask scheduler answers at tcp://127.0.0.1:1"):
-        _Remote("tcp://127.0.0.1:1")

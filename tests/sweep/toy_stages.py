@@ -17,6 +17,7 @@ import numpy as np
 from model.outcome import ModelError
 from model.scene import Scene
 
+SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
 
 
@@ -47,6 +48,8 @@ class Flowed(NamedTuple):
 
 
 def pack(*, count: int, seed: int) -> Packed:
+    if seed == SLOW_SEED:
+        time.sleep(SLOW_SECONDS)
     return Packed(np.random.default_rng(seed).random(count), np.asarray(seed))
 
 

@@ -1,0 +1,299 @@
+"""Transients by an adaptive, L-stable Runge–Kutta method, its factors reused.
+
+ESDIRK4(3)6L[2]SA of Kennedy & Carpenter (2003), Appl. Numer. Math. 44, 139–181: fourth
+order, every implicit stage with one matrix G + C / (γ h), stiffly accurate, so that wells
+without storage, which are algebraic rows, hold at the end of each step. Steps are taken
+from a ladder of fixed ratio, so that a factor serves many steps and every source.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.algebraic import Algebraic, algebraic
+from model.flow.factor import Factor, Symbolic, analyse, factorise, solve
+from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative_residual
+from model.flow.system import System
+from model.outcome import ModelError
+
+GAMMA = 0.25  # the diagonal of the implicit stages
+STAGES = np.array(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1 / 4, 1 / 4, 0, 0, 0, 0],
+        [8611 / 62500, -1743 / 31250, 1 / 4, 0, 0, 0],
+        [5012029 / 34652500, -654441 / 2922500, 174375 / 388108, 1 / 4, 0, 0],
+        [
+            15267082809 / 155376265600,
+            -71443401 / 120774400,
+            730878875 / 902184768,
+            2285395 / 8070912,
+            1 / 4,
+            0,
+        ],
+        [82889 / 524892, 0, 15625 / 83664, 69875 / 102672, -2260 / 8211, 1 / 4],
+    ]
+)
+WEIGHTS = STAGES[-1]
+EMBEDDED = np.array(
+    [
+        4586570599 / 29645900160,
+        0,
+        178811875 / 945068544,
+        814220225 / 1159782912,
+        -3700637 / 11593932,
+        61727 / 225920,
+    ]
+)
+
+RUNGS_PER_OCTAVE = 1  # steps are 2^k s
+
+# Local error of a step, as the embedded method sees it, over the tolerance. The estimate is
+# of the order of the step to the fourth power, as the error gathered over a decade of
+# time is, so that one factor makes the tolerance mean the error at every tolerance.
+LOCAL_SHARE = 0.15
+
+SAFETY = 0.9
+MOST_GROWTH = 4.0
+MOST_STEPS = 200_000
+
+# Part of the largest flow below which a boundary's own flow no longer counts.
+FAINT = 0.1
+
+# Memory that kept factors may take, bytes.
+CACHE_BYTES = 1 << 29
+
+
+class State(NamedTuple):
+    """Where a march stands."""
+
+    time: float  # s
+    pressure: np.ndarray  # (n,)
+    rate: np.ndarray  # (n,) dp/dt
+    volume: np.ndarray  # (fixed,) let in by each fixed pressure so far
+
+
+class Step(NamedTuple):
+    """One step: values and increments h dp/dt at its stages."""
+
+    size: float  # s
+    value: np.ndarray  # (6, n)
+    increment: np.ndarray  # (6, n)
+
+
+class Ladder:
+    """Factors of G + C / (γ h) for the steps of a ladder, made when first asked for."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.symbolic: Symbolic = analyse(system.n, system.edge_i, system.edge_j)
+        self.made = 0
+        self._kept: dict[int, Factor] = {}
+        size = 8 * (len(self.symbolic.row) + system.n + 1)
+        self._most = max(4, CACHE_BYTES // size)
+
+    @staticmethod
+    def rung(step: float) -> int:
+        """The highest rung whose step is not longer than this."""
+        return math.floor(RUNGS_PER_OCTAVE * math.log2(step) + 1e-9)
+
+    @staticmethod
+    def step(rung: int) -> float:
+        """Length of a rung's step, s."""
+        return float(2.0 ** (rung / RUNGS_PER_OCTAVE))
+
+    def factor(self, rung: int) -> Factor:
+        """Factor for the step of a rung; the oldest goes where memory runs short."""
+        if rung not in self._kept:
+            if len(self._kept) >= self._most:
+                del self._kept[next(iter(self._kept))]
+            shift = 1.0 / (GAMMA * self.step(rung))
+            excess = self.system.excess + shift * self.system.storage
+            self._kept[rung] = factorise(self.symbolic, self.system.edge_g, excess)
+            self.made += 1
+        return self._kept[rung]
+
+
+def implicit(problem: Problem) -> Answer:
+    """March every active source through the lags under error control.
+
+    Raises `ModelError` where `MOST_STEPS` steps do not reach the last lag.
+    """
+    system = problem.system
+    wells = algebraic(system)
+    ladder = Ladder(system)
+    answer = empty_answer(problem)
+    error = residual = 0.0
+    work = 0
+    for k in problem.active_sources:
+        estimate, last, solves = _march(problem, k, wells, ladder, answer)
+        error = max(error, estimate)
+        residual = max(
+            residual, relative_residual(system, system.source(k), last.rate, last.pressure)
+        )
+        work += solves
+    return answer._replace(time_error=error, residual=residual, work=work + ladder.made)
+
+
+def initial_state(system: System, wells: Algebraic, rhs: np.ndarray) -> State:
+    """Pores at rest; wells follow the source and the pores at once."""
+    pores = system.pores
+    pressure = np.zeros(system.n)
+    pressure[pores:] = wells.direct(rhs)
+    rate = wells.lift(wells.reduce_source(rhs) / system.storage[:pores])
+    return State(0.0, pressure, rate, np.zeros(system.fixed_count))
+
+
+def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, size: float) -> Step:
+    """Stages of one step of `size` s, whose matrix G + C / (γ h) is factored.
+
+    The increments come from differences of stage values, not from f − G p, whose round-off
+    a stiff pore would magnify.
+    """
+    scaled = system.storage / (GAMMA * size)
+    value = np.empty((len(STAGES), system.n))
+    increment = np.empty_like(value)
+    value[0], increment[0] = state.pressure, size * state.rate
+    for i in range(1, len(STAGES)):
+        known = state.pressure + STAGES[i, :i] @ increment[:i]
+        value[i] = solve(factor, rhs + scaled * known)
+        increment[i] = (value[i] - known) / GAMMA
+    return Step(size, value, increment)
+
+
+def weights_at(part: float) -> np.ndarray:
+    """Weights of the increments that give the pressure after a part 0 … 1 of the step, (6,).
+
+    The cubic through values and slopes at both ends; written in increments it keeps the
+    volume as the step itself does.
+    """
+    weights = part * part * (3.0 - 2.0 * part) * WEIGHTS
+    weights[0] += part * (1.0 - part) ** 2
+    weights[-1] -= part * part * (1.0 - part)
+    return weights
+
+
+def _march(
+    problem: Problem, source: int, wells: Algebraic, ladder: Ladder, answer: Answer
+) -> tuple[float, State, int]:
+    """Fill one source's part of the answer (in place); error estimate, end, solves."""
+    system, lags = problem.system, problem.lag
+    rhs = system.source(source)
+    gauge = _Gauge(problem, source)
+    state = initial_state(system, wells, rhs)
+    fields = np.zeros((len(lags) if len(problem.domain) else 0, system.n))
+    rung = ladder.rung(_first_step(problem, state))
+    worst, tried, done = 0.0, 0, 0
+    done = _reach(problem, source, state, None, done, fields, answer)
+    while done < len(lags):
+        tried += 1
+        if tried > MOST_STEPS:
+            raise ModelError(
+                f"implicit came to {state.time:.3g} s of {lags[-1]:.3g} s in {MOST_STEPS} steps; "
+                "raise solver.tolerance, or use solver.method krylov"
+            )
+        size = ladder.step(rung)
+        step = take_step(system, ladder.factor(rung), rhs, state, size)
+        error = gauge.relative((WEIGHTS - EMBEDDED) @ step.increment, step.value[-1])
+        allowed = LOCAL_SHARE * problem.tolerance
+        growth = MOST_GROWTH if error == 0.0 else SAFETY * (allowed / error) ** 0.25
+        if error > allowed:
+            rung = min(rung - 1, ladder.rung(size * growth))
+            continue
+        worst = max(worst, error / LOCAL_SHARE)
+        gauge.accept(step.value[-1], state.time + size)
+        done = _reach(problem, source, state, step, done, fields, answer)
+        state = State(
+            state.time + size,
+            step.value[-1],
+            step.increment[-1] / size,
+            state.volume + _let_in(problem, source, step, WEIGHTS),
+        )
+        rung = ladder.rung(size * min(growth, MOST_GROWTH))
+    if len(problem.domain):
+        answer.pressure[source] = fill_map(problem, source, fields)
+    return worst, state, tried * (len(STAGES) - 1)
+
+
+def _first_step(problem: Problem, state: State) -> float:
+    """Step in which the pressure changes by about the fourth root of the tolerance, s."""
+    last = problem.lag[-1]
+    change = np.abs(state.rate).max(initial=0.0)
+    size = np.abs(state.pressure).max(initial=0.0)
+    if change == 0.0:
+        return float(last) or 1.0
+    return float(min(last or 1.0, problem.tolerance**0.25 * (size or 1.0) / change))
+
+
+def _reach(
+    problem: Problem,
+    source: int,
+    state: State,
+    step: Step | None,
+    done: int,
+    fields: np.ndarray,
+    answer: Answer,
+) -> int:
+    """Record the lags up to the end of a step (none: the present); how many are done."""
+    records, system = problem.records, problem.system
+    end = state.time + (step.size if step else 0.0)
+    while done < len(problem.lag) and problem.lag[done] <= end:
+        pressure, volume = state.pressure, state.volume
+        if step:
+            weights = weights_at((problem.lag[done] - state.time) / step.size)
+            pressure = pressure + weights @ step.increment
+            volume = volume + _let_in(problem, source, step, weights)
+        answer.output[source, done] = records.rows @ pressure + records.direct[source]
+        answer.cumulative[source, done] = np.append(volume, system.storage @ pressure)
+        if len(fields):
+            fields[done] = pressure
+        done += 1
+    return done
+
+
+def _let_in(problem: Problem, source: int, step: Step, weights: np.ndarray) -> np.ndarray:
+    """Volume that each fixed pressure lets in over the weighted stages, (fixed,) m³."""
+    records = problem.records
+    flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+    mean = records.rows @ (weights @ step.value) + weights.sum() * records.direct[source]
+    return step.size * mean[flows]
+
+
+class _Gauge:
+    """Relative size of an error of the pressure.
+
+    Pressures count against the largest pressure change; by the maximum principle that is
+    the source's own. Flows count against the largest value that each has taken since the
+    first lag, or a tenth (`FAINT`) of the largest flow.
+    """
+
+    def __init__(self, problem: Problem, source: int) -> None:
+        records = problem.records
+        self.first = problem.lag[problem.lag > 0][0] if problem.lag.any() else 0.0
+        flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+        self.rows = records.rows[flows]
+        self.direct = records.direct[source][flows]
+        self.check_flows = problem.check_flows
+        own_rate = source >= problem.system.fixed_count
+        self.least_pressure = 0.0 if own_rate else 1.0
+        self.least_flow = 1.0 if own_rate else 0.0
+        self.seen = np.zeros(len(self.direct))
+
+    def accept(self, pressure: np.ndarray, time: float) -> None:
+        """Remember the flows from the first lag on."""
+        if time >= self.first:
+            self.seen = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
+
+    def relative(self, error: np.ndarray, pressure: np.ndarray) -> float:
+        """The error (n,) against the pressure (n,) and the flows that it goes with."""
+        size = np.abs(pressure).max(initial=self.least_pressure)
+        worst = np.abs(error).max(initial=0.0) / size if size > 0 else 0.0
+        if not self.check_flows:
+            return float(worst)
+        flow = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
+        flow = np.maximum(flow, FAINT * flow.max(initial=self.least_flow))
+        off = np.abs(self.rows @ error)
+        return float(max(worst, np.max(off[flow > 0] / flow[flow > 0], initial=0.0)))

@@ -1,0 +1,79 @@
+"""A Dask cluster of real processes on the loopback, each in a folder of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import NamedTuple
+
+import psutil
+
+ROOT = Path(__file__).parents[2]
+LOCAL = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
+PATIENCE = 30.0  # s for all processes to stand
+
+
+class Cluster(NamedTuple):
+    """A scheduler's address, the processes of the workers, and the folder that holds all."""
+
+    address: str
+    workers: list[subprocess.Popen]
+    folder: Path
+
+
+@contextmanager
+def dask_cluster(folder: Path, workers: int = 2) -> Iterator[Cluster]:
+    """Start `dask scheduler` and as many `dask worker`s, and end them all."""
+    folder.mkdir()
+    contact = folder / "contact.json"
+    with ExitStack() as stack:
+        scheduler = ("scheduler", *LOCAL, "--port", "0", "--scheduler-file", str(contact))
+        stack.enter_context(_process(folder / "scheduler", *scheduler))
+        worker = ("worker", *LOCAL, "--nthreads", "1", "--scheduler-file", str(contact))
+        started = [
+            stack.enter_context(_process(folder / f"worker-{k}", *worker)) for k in range(workers)
+        ]
+        end = time.monotonic() + PATIENCE
+        while not (_written(contact) and all(map(_has_worker, started))):
+            if time.monotonic() > end:
+                raise TimeoutError((folder / "scheduler" / "log").read_text())
+            time.sleep(0.05)
+        yield Cluster(json.loads(contact.read_text())["address"], started, folder)
+
+
+def _written(contact: Path) -> bool:
+    return contact.exists() and contact.read_text().endswith("}")
+
+
+def _has_worker(nanny: subprocess.Popen) -> bool:
+    family = psutil.Process(nanny.pid).children(recursive=True)
+    return any("spawn_main" in " ".join(child.cmdline()) for child in family)
+
+
+@contextmanager
+def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen]:
+    """`dask …` in a folder of its own."""
+    folder.mkdir()
+    command = [sys.executable, "-m", "dask", *arguments]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    with open(folder / "log", "wb") as log:
+        started = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
+    try:
+        yield started
+    finally:
+        family = psutil.Process(started.pid).children(recursive=True)
+        started.terminate()
+        try:
+            started.wait(10)
+        except subprocess.TimeoutExpired:
+            started.kill()
+            started.wait()
+        for child in family:
+            if child.is_running():
+                child.kill()

@@ -1,0 +1,138 @@
+"""Runs on a Dask cluster of other processes, whose workers share no folder with the client."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+
+import psutil
+import pytest
+
+from sweep import worker
+from sweep.execute import SchedulerError, _Remote
+from sweep.stages import Status
+from sweep.store import pack, unpack
+from sweep.worker import Job, Task, run_job
+from tests.sweep import toy_stages, toys
+from tests.sweep.clusters import dask_cluster
+from tests.sweep.test_engine import assert_same_bits
+
+RATES = (1.0, 2.0, 3.0, 4.0)
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """A scheduler and two workers."""
+    with dask_cluster(tmp_path_factory.mktemp("cluster") / "processes") as started:
+        yield started
+
+
+def test_a_cluster_gives_the_same_bits_and_keeps_no_product(cluster, tmp_path):
+    address, _, folder = cluster
+    rates = (*RATES, toy_stages.RAISES, toy_stages.DIES)
+    path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(5e6,), rates=rates)
+    here = toys.run(path, tmp_path / "here")
+    there = toys.run(path, tmp_path / "there", scheduler=address)
+    assert (there.failed, there.cases) == (here.failed, here.cases) == (4, 12)
+    assert there.executed.computed == here.executed.computed
+    assert_same_bits(here.folder, there.folder)
+    assert toys.run(path, tmp_path / "there").executed is None  # all lies at the client
+    assert list(folder.rglob("*.product")) == []
+
+
+def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
+    address, workers, _ = cluster
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(*RATES, 5.0), seconds=0.4)
+    calm = toys.run(path, tmp_path / "calm")
+    killed = []
+
+    def kill_one() -> None:
+        while not list(tmp_path.glob("stormy/store/*/*.product")):
+            time.sleep(0.05)
+        family = psutil.Process(workers[0].pid).children(recursive=True)
+        victim = next(child for child in family if "spawn_main" in " ".join(child.cmdline()))
+        killed.append(victim.pid)
+        victim.kill()
+
+    killer = threading.Thread(target=kill_one)
+    killer.start()
+    try:
+        stormy = toys.run(path, tmp_path / "stormy", scheduler=address)
+    finally:
+        killer.join()
+    assert killed
+    assert stormy.failed == 0
+    assert_same_bits(calm.folder, stormy.folder)
+
+
+def test_a_damaged_parent_is_computed_again_before_it_travels(cluster, tmp_path):
+    address, _, _ = cluster
+    path = toys.write_study(tmp_path, seeds=(3,), stresses=(), rates=(1.0,))
+    toys.run(path, tmp_path / "results", scheduler=address)
+    more = toys.write_study(tmp_path, name="more", seeds=(3,), stresses=(), rates=(1.0, 2.0))
+    prepared = toys.prepared(more, tmp_path / "results")
+    packing = next(r.id for r in prepared.plan.runs if prepared.plan.stages[r.stage].name == "pack")
+    os.truncate(prepared.store.path(packing), 100)
+    finished = toys.run(more, tmp_path / "results", scheduler=address)
+    assert finished.failed == 0
+    assert len(finished.executed.damaged) == 1
+    assert finished.executed.computed == 1 + 2  # the packing, flow and observer of the new rate
+
+
+def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, capsys):
+    address, _, _ = cluster
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+    own = worker.versions() | {"numpy": "0.1"}
+    monkeypatch.setattr("sweep.execute.versions", lambda: own)
+    place = ("--results", str(tmp_path / "results"), "--scheduler", address)
+    assert toys.demflow("run", str(path), *place) == 2
+    told = capsys.readouterr().err
+    assert f"numpy {worker.versions()['numpy']} (here 0.1)" in told
+    assert list(tmp_path.rglob("*.product")) == []
+
+
+def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
+    address, _, _ = cluster
+    (tmp_path / "only_here.py").write_text("from tests.sweep.toy_stages import STAGES")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(toys, "TABLE", "only_here:STAGES")
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+    with pytest.raises(SchedulerError, match="cannot run demflow: .*only_here"):
+        toys.run(path, tmp_path / "results", scheduler=address)
+
+
+def test_workers_of_many_threads_are_refused(monkeypatch):
+    remote = object.__new__(_Remote)
+    monkeypatch.setattr(
+        remote, "_look", lambda: {"tcp://1.2.3.4:5": {"nthreads": 4}}, raising=False
+    )
+    with pytest.raises(SchedulerError, match="tcp://1.2.3.4:5 has 4 threads"):
+        remote.addresses()
+
+
+def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("sweep.execute.CONNECT_SECONDS", 0.5)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    place = ("--results", str(tmp_path / "results"))
+    for address in ("tcp://127.0.0.1:1", "nonsense", "ftp://127.0.0.1:1"):
+        assert toys.demflow("run", str(path), *place, "--scheduler", address) == 2
+        assert f"no Dask scheduler answers at {address}" in capsys.readouterr().err
+
+
+def test_a_worker_without_a_store_gives_back_the_file_it_would_store(monkeypatch):
+    monkeypatch.setattr(worker, "_memory", worker._Memory(worker.CACHE_BYTES))
+    parent, own = "a" * 64, "b" * 64
+    packed = toy_stages.pack(count=5, seed=1)
+    flow = {"rate": 1.0, "viscosity": 0.0, "times": (1.0, 2.0)}
+    task = Task(1, own, "flow", flow, (parent, None))
+    missing = run_job(Job(None, toys.TABLE, (task,)))[0]
+    assert (missing.lost, missing.file) == (parent, b"")
+    file = pack(packed._asdict(), {"id": parent})
+    outcome = run_job(Job(None, toys.TABLE, (task,), {parent: file}))[0]
+    assert outcome.status is Status.DONE
+    arrays, meta = unpack(outcome.file)
+    assert meta["id"] == own
+    assert outcome.stored == len(outcome.file)
+    expected = toy_stages.flow(packed, None, **flow).pressure
+    assert arrays["pressure"].tobytes() == expected.tobytes()
