@@ -37,7 +37,7 @@ CAUTION = 2.5
 STRIDE = 0.2
 
 # A check costs what this part of the vectors did; larger spaces are checked less often.
-CHECK_COST = 32
+CHECK_COST = 8
 
 # Lags at which maps are compared between cycles; the error of a map changes slowly in time.
 MAP_CHECKS = 8
@@ -121,18 +121,21 @@ def _basis(
     count = _append(space, 0, rhs / root)
     cycle = len(factors)
     estimate, solves, wanted = math.inf, 0, 3
+    invariant = False
     while True:
         for factor in itertools.islice(itertools.cycle(factors), solves, wanted):
-            if count == pores:
+            if count == pores or invariant:
                 break
             load = np.zeros(system.n)
             load[:pores] = root * space[:, count - 1]
-            count += _append(space, count, root * solve(factor, load)[:pores])
+            added = _append(space, count, root * solve(factor, load)[:pores])
+            invariant = added == 0  # the space holds all that the source can reach
+            count += added
             solves += 1
         # the constants stay out of the sequence, which must remain a Krylov space of C⁻¹f
         complete = count + _append(space, count, root)
         nest = _nest(system, wells, space[:, :complete], rhs, root)
-        if complete == pores:
+        if complete == pores or invariant:
             return nest.basis(count), 0.0, solves
         estimate, rate = _estimate(problem, source, wells, nest, count, cycle)
         if estimate <= problem.tolerance:

@@ -121,8 +121,9 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     figure.supxlabel(f"time since the rate change ({time_name})", fontsize=9.5)
     figure.supylabel(f"Δp and dΔp/d ln t ({pressure_name})", fontsize=9.5)
     # from the left, so that a long legend on the right cannot reach it
-    title = f"Well {well}: pressure change and Bourdet derivative"
-    figure.suptitle(title, x=0.01, ha="left", fontsize=11)
+    figure.suptitle(
+        f"Well {well}: pressure change and Bourdet derivative", x=0.01, ha="left", fontsize=11
+    )
     figure.legend(
         handles=_legend(dataset, roles, blues, reds), loc="outside right upper", handlelength=2.6
     )

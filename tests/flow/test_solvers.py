@@ -308,7 +308,9 @@ def test_idle_sources_are_left_at_zero_and_change_nothing(method):
 def test_maps_are_made_only_where_asked_for():
     found = respond("krylov", record_map=False, tolerance=1e-12)
     assert found.pressure.shape == (5, len(found.lag), 0)
-    np.testing.assert_allclose(found.output, respond("krylov", tolerance=1e-12).output, rtol=1e-4, atol=1e-8)
+    np.testing.assert_allclose(
+        found.output, respond("krylov", tolerance=1e-12).output, rtol=1e-4, atol=1e-8
+    )
 
 
 @every
