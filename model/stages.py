@@ -129,6 +129,10 @@ def _needs_permeability(scene: Scene) -> bool:
     )
 
 
+def _observes_flows(scene: Scene) -> bool:
+    return "boundary_flow" in scene.observe or any(w.pressure is not None for w in scene.wells)
+
+
 def _always(scene: Scene) -> bool:
     return True
 
@@ -224,6 +228,7 @@ STAGES: tuple[Stage, ...] = (
             "tolerance": lambda s: s.solver.tolerance,
             "safety_factor": lambda s: s.solver.safety_factor,
             "record_map": lambda s: "pressure_map" in s.observe,
+            "check_flows": _observes_flows,
         },
         wanted=lambda s: s.flows,
         product=Responses,

@@ -81,6 +81,7 @@ def flow(
     tolerance: float,
     safety_factor: float,
     record_map: bool,
+    check_flows: bool = True,
 ) -> Responses:
     """Responses of the network to a unit step of each source (the *flow* stage).
 
@@ -98,6 +99,8 @@ def flow(
     times : output times in s; empty for the steady state.
     method, tolerance, safety_factor : of the solver, see `model.scene.Solver`.
     record_map : whether the pressure of every domain is kept.
+    check_flows : whether the tolerance holds for boundary flows too, which converge more slowly
+        than the pressure of a well.
 
     Raises `ModelError` where the solver cannot answer; its text says what to try.
     """
@@ -118,6 +121,7 @@ def flow(
         domain=np.flatnonzero(network.inside) if record_map else np.empty(0, dtype=np.int64),
         tolerance=tolerance,
         safety_factor=safety_factor,
+        check_flows=check_flows,
     )
     answer = SOLVERS[method].run(problem)
     return Responses(
