@@ -63,11 +63,11 @@ def _foreseen(error: Exception) -> int | None:
         return WRONG
     if isinstance(error, OSError):  # no space, no permission: what was finished is kept
         return SOME_FAILED
-    execute = sys.modules.get("sweep.execute")
+    pools = sys.modules.get("sweep.pools")
     results = sys.modules.get("sweep.results")
-    if execute is not None and isinstance(error, execute.SchedulerError):
+    if pools is not None and isinstance(error, pools.SchedulerError):
         return WRONG
-    if execute is not None and isinstance(error, execute.RunError):
+    if pools is not None and isinstance(error, pools.RunError):
         return SOME_FAILED
     if results is not None and isinstance(error, results.ResultsError):
         return WRONG

@@ -8,25 +8,19 @@ took too long or grew too large, and nobody else is blamed.
 
 from __future__ import annotations
 
-import logging
-import os
-import signal
-import threading
 import time
 import uuid
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing import resource_tracker
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-import dask
-import psutil
-from distributed import Client, Future, KilledWorker, LocalCluster
+from distributed import Future, KilledWorker
 
+from sweep.pools import LocalPool, Pool, RemotePool, RunError, SchedulerError, uninterrupted
 from sweep.progress import Progress
 from sweep.schedule import Bundle, Schedule, Tally
 from sweep.stages import MODEL, Status
@@ -38,32 +32,10 @@ if TYPE_CHECKING:
     from model.scene import Scene
 
 TICK = 0.2  # s between looks at times, memory and living workers
-START_ATTEMPTS = 3  # to start the workers, should one be killed meanwhile
 AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
 LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
 LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
-CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
 ANSWER_SECONDS = 2.0  # s to fetch an answer before looking whether its worker still lives
-
-# One thread per worker, whatever library it comes from; set before the workers start.
-ONE_THREAD = {
-    name: "1"
-    for name in (
-        "NUMBA_NUM_THREADS",
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-    )
-}
-
-
-class RunError(RuntimeError):
-    """The run as a whole cannot go on; what was finished is stored."""
-
-
-class SchedulerError(RunError):
-    """The workers that were named cannot be used; nothing was run."""
 
 
 @dataclass(frozen=True)
@@ -131,12 +103,12 @@ def execute(
     KeyboardInterrupt passes through, after the workers have been ended.
     """
     begin = time.monotonic()
-    pool: _Pool = _Remote(scheduler) if scheduler else _Local(workers)
+    pool: Pool = RemotePool(scheduler) if scheduler else LocalPool(workers)
     try:
         run = _Execution(schedule, store, scene_of, table, limits or Limits(), progress, pool)
         run.loop()
     finally:
-        with _uninterrupted():
+        with uninterrupted():
             pool.close()
     run.report.seconds = time.monotonic() - begin
     return run.report
@@ -162,7 +134,7 @@ class _Execution:
         table: str,
         limits: Limits,
         progress: Callable[[Progress], None] | None,
-        pool: _Pool,
+        pool: Pool,
     ):
         self.schedule, self.plan, self.store = schedule, schedule.plan, store
         self.scene_of, self.table, self.limits = scene_of, table, limits
@@ -461,237 +433,3 @@ class _Execution:
             workers = len(self.pool.addresses())
             tally, left = self.tally, self.schedule.seconds_left(workers)
             self.progress(Progress(len(self.plan.cases), tally.done, tally.failed, left))
-
-
-class _Pool(Protocol):
-    """Workers, wherever they are."""
-
-    shares_store: bool  # whether they see the client's store; products travel otherwise
-
-    def addresses(self) -> set[str]:
-        """Workers that can be sent a job."""
-
-    def submit(
-        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
-    ) -> Future:
-        """Have a worker call a function."""
-
-    def kill(self, address: str) -> None:
-        """End a worker, whatever it is doing; another takes its place."""
-
-    def memory(self, address: str) -> float:
-        """Resident memory of a worker in bytes, 0 where it cannot be seen."""
-
-    def close(self) -> None:
-        """Leave no process and no connection behind."""
-
-
-class _Local:
-    """Worker processes of this machine, listening on the loopback alone."""
-
-    shares_store = True
-
-    def __init__(self, workers: int):
-        self._config = dask.config.set(
-            {
-                # a death is ours to judge: Dask must neither retry nor blame
-                "distributed.scheduler.allowed-failures": 0,
-                "distributed.worker.multiprocessing-method": "spawn",
-                "distributed.nanny.pre-spawn-environ": ONE_THREAD,
-                "distributed.comm.timeouts.connect": "30s",
-            }
-        )
-        try:
-            with _signals_kept_for_later():
-                self.cluster = _started(workers)
-                self.client = Client(self.cluster, set_as_default=False)
-        except BaseException:
-            self.close()
-            raise
-
-    def addresses(self) -> set[str]:
-        """Workers that can be sent a job."""
-        return {a for nanny in self._nannies() if (a := nanny.worker_address) is not None}
-
-    def submit(
-        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
-    ) -> Future:
-        """Have a worker call a function."""
-        return _submit(self.client, address, function, argument, key)
-
-    def kill(self, address: str) -> None:
-        """End a worker process at once; its nanny starts another."""
-        for nanny in self._nannies():
-            if nanny.worker_address == address and nanny.pid:
-                _kill(nanny.pid)
-
-    def memory(self, address: str) -> float:
-        """Resident memory of a worker process, bytes."""
-        for nanny in self._nannies():
-            if nanny.worker_address == address and nanny.pid:
-                with suppress(psutil.Error):
-                    return float(psutil.Process(nanny.pid).memory_info().rss)
-        return 0.0
-
-    def close(self) -> None:
-        """End all processes: those that are busy without waiting for their work."""
-        nannies = self._nannies() if hasattr(self, "cluster") else []
-        closing = threading.Thread(target=self._close_politely, daemon=True)
-        closing.start()
-        for patience in (1.0, 2.0, 4.0, 8.0):
-            closing.join(patience)
-            if not closing.is_alive():
-                break
-            # the nannies know by now that we are closing, and start no others
-            for nanny in nannies:
-                if nanny.pid:
-                    _kill(nanny.pid)
-        self._config.__exit__(None, None, None)
-
-    def _close_politely(self) -> None:
-        # an interrupted start may have left only the first of them
-        if hasattr(self, "client"):
-            self.client.close(timeout=5)
-        if hasattr(self, "cluster"):
-            self.cluster.close(timeout=20)
-
-    def _nannies(self) -> list[Any]:
-        return list(self.cluster.workers.values())
-
-
-class _Remote:
-    """Workers of a Dask cluster that runs already, wherever they are."""
-
-    shares_store = False
-
-    def __init__(self, scheduler: str):
-        # a parent product may be large, and is meant to travel
-        self._config = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
-        self.scheduler = scheduler
-        try:
-            self.client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError, TypeError) as error:
-            self._config.__exit__(None, None, None)
-            raise SchedulerError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-        self._workers: dict[str, Any] = {}
-        self._asked = -float("inf")
-
-    def addresses(self) -> set[str]:
-        """Workers that can be sent a job. Raises SchedulerError where one has many threads."""
-        workers = self._look()
-        for address, worker in workers.items():
-            if worker["nthreads"] != 1:
-                raise SchedulerError(
-                    f"the worker {address} has {worker['nthreads']} threads; "
-                    "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
-                )
-        return set(workers)
-
-    def _look(self) -> dict[str, Any]:
-        """What the scheduler knows of its workers; asked for once a second."""
-        if time.monotonic() - self._asked > 1.0:
-            try:
-                self._workers = dict(self.client.scheduler_info()["workers"])
-            except (OSError, TimeoutError) as error:
-                raise RunError(f"the scheduler {self.scheduler} answers no longer") from error
-            self._asked = time.monotonic()
-        return self._workers
-
-    def submit(
-        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
-    ) -> Future:
-        """Have a worker call a function."""
-        return _submit(self.client, address, function, argument, key)
-
-    def kill(self, address: str) -> None:
-        """Have the worker's nanny start it anew."""
-        self.client.restart_workers([address], timeout=30, raise_for_error=False)
-
-    def memory(self, address: str) -> float:
-        """Resident memory of a worker as it told its scheduler last, bytes."""
-        worker = self._look().get(address, {})
-        return float(worker.get("metrics", {}).get("memory", 0.0))
-
-    def close(self) -> None:
-        """Leave the cluster as it was found."""
-        self.client.close(timeout=10)
-        self._config.__exit__(None, None, None)
-
-
-def _started(workers: int) -> LocalCluster:
-    for _ in range(START_ATTEMPTS):
-        try:
-            return LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                memory_limit=0,  # watched here, so that it can be said who took it
-                silence_logs=logging.CRITICAL,
-            )
-        except RuntimeError as error:  # one died before it stood
-            cause = error
-    raise RunError(
-        "the worker processes did not start; a script has to call sweep.run below "
-        "`if __name__ == '__main__':`"
-    ) from cause
-
-
-def _submit(
-    client: Client, address: str, function: Callable[[Any], Any], argument: Any, key: str
-) -> Future:
-    return client.submit(
-        function,
-        argument,
-        key=key,
-        workers=[address],
-        allow_other_workers=False,
-        pure=False,
-        retries=0,
-    )
-
-
-def _kill(pid: int) -> None:
-    with suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGKILL)
-
-
-@contextmanager
-def _signals_kept_for_later() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C, and hear it oneself only once they stand.
-
-    A terminal sends it to every process in the foreground; it is for this one, which
-    then ends the others. Threads and processes started here inherit the mask, also those
-    that a nanny starts later.
-    """
-    # multiprocessing's tracker unblocks the signal in the thread that starts it: start it now
-    resource_tracker.ensure_running()
-    caught: list[int] = []
-    handlers = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handlers[number] = signal.signal(number, lambda n, _: caught.append(n))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for heard in caught:
-            signal.raise_signal(heard)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Let no second Ctrl-C stop what cleans up after the first."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {s: signal.signal(s, signal.SIG_IGN) for s in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -34,6 +34,7 @@ SWEEP = (
     ("sweep.stages", "sweep.identity", "sweep.store"),
     ("sweep.plan", "sweep.worker", "sweep.cost"),
     ("sweep.schedule",),
+    ("sweep.pools",),
     ("sweep.execute", "sweep.collect"),
     ("sweep.results",),
     ("sweep.analysis",),
@@ -56,8 +57,8 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
 DOORS = {  # outer library: the only rooms that may import it
     "numba": {"model.compile"},
     "qdldl": {"model.flow.factor"},
-    "dask": {"sweep.execute", "sweep.worker"},
-    "distributed": {"sweep.execute", "sweep.worker"},
+    "dask": {"sweep.pools"},
+    "distributed": {"sweep.execute", "sweep.pools", "sweep.worker"},
     "netCDF4": {"sweep.collect", "sweep.results"},
     "ruamel": {"sweep.yaml_source"},
 }

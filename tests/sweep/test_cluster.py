@@ -10,7 +10,7 @@ import psutil
 import pytest
 
 from sweep import worker
-from sweep.execute import SchedulerError, _Remote
+from sweep.pools import RemotePool, SchedulerError
 from sweep.stages import Status
 from sweep.store import pack, unpack
 from sweep.worker import Job, Task, run_job
@@ -103,7 +103,7 @@ def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
 
 
 def test_workers_of_many_threads_are_refused(monkeypatch):
-    remote = object.__new__(_Remote)
+    remote = object.__new__(RemotePool)
     monkeypatch.setattr(
         remote, "_look", lambda: {"tcp://1.2.3.4:5": {"nthreads": 4}}, raising=False
     )
@@ -112,7 +112,7 @@ def test_workers_of_many_threads_are_refused(monkeypatch):
 
 
 def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sweep.execute.CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("sweep.pools.CONNECT_SECONDS", 0.5)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     place = ("--results", str(tmp_path / "results"))
     for address in ("tcp://127.0.0.1:1", "nonsense", "ftp://127.0.0.1:1"):
