@@ -1,0 +1,36 @@
+"""One case: everything that the model reads, frozen, in SI units, checked when it is made.
+
+The dataclasses mirror the blocks of a study file, so that a path such as
+`wells.producer.rate` means the same in both. Angles are in radians, stresses
+positive in compression, rates positive when a well produces. The model is two
+dimensional with unit depth: rates are m³/s for one metre of rock.
+"""
+
+from model.parameters import SceneError
+from model.region import Circle, Polygon, Rectangle, Region
+from model.scene.case import OBSERVABLES, Scene
+from model.scene.flow import Fluid, Matrix, Probe, Solver, Well
+from model.scene.fractures import BiWing, Fracture, FractureSet, Trace
+from model.scene.rock import Bonds, Grains, Stress
+
+__all__ = [
+    "OBSERVABLES",
+    "BiWing",
+    "Bonds",
+    "Circle",
+    "Fluid",
+    "Fracture",
+    "FractureSet",
+    "Grains",
+    "Matrix",
+    "Polygon",
+    "Probe",
+    "Rectangle",
+    "Region",
+    "Scene",
+    "SceneError",
+    "Solver",
+    "Stress",
+    "Trace",
+    "Well",
+]

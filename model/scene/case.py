@@ -1,0 +1,182 @@
+"""The whole of one case, its parts checked against each other when it is made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from model.parameters import SceneError, check_fields, parameter
+from model.region import Region, clip_segment, contains, distance_to_rim
+from model.scene.flow import Fluid, Matrix, Probe, Solver, Well
+from model.scene.fractures import BiWing, Fracture, FractureSet
+from model.scene.rock import Bonds, Grains, Stress
+
+__all__ = ["OBSERVABLES", "Scene"]
+
+OBSERVABLES = (
+    "well_pressure",
+    "permeability",
+    "pressure_map",
+    "boundary_flow",
+    "probe_pressure",
+    "grain_map",
+)
+
+# Traces that one set may have: beyond, its spacing is a slip of the unit.
+MOST_TRACES = 100_000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scene:
+    """Everything that one case needs. `observe` decides what is computed.
+
+    Raises `SceneError`, listing every contradiction between its parts.
+    """
+
+    region: Region
+    grains: Grains
+    matrix: Matrix
+    fluid: Fluid
+    observe: tuple[str, ...]
+    bonds: Bonds | None = None
+    stress: Stress | None = None
+    fractures: tuple[Fracture, ...] = ()
+    wells: tuple[Well, ...] = ()
+    boundaries: tuple[tuple[str, float], ...] = ()
+    probes: tuple[Probe, ...] = ()
+    initial_pressure: float | None = parameter(
+        "Pa", default=None, help="pressure everywhere at time zero"
+    )
+    times: tuple[float, ...] = ()
+    solver: Solver = Solver()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        problems = [
+            *self._mechanical_problems(),
+            *self._placement_problems(),
+            *self._flow_problems(),
+        ]
+        if problems:
+            raise SceneError(problems)
+
+    @property
+    def method(self) -> str:
+        """The flow solver that runs: `solver.method`, with `auto` decided."""
+        if self.solver.method != "auto":
+            return self.solver.method
+        return "krylov" if self.times else "steady"
+
+    @property
+    def flows(self) -> bool:
+        """Whether an output is wanted that needs the pressure field of the wells."""
+        return any(
+            name in self.observe
+            for name in ("well_pressure", "pressure_map", "boundary_flow", "probe_pressure")
+        )
+
+    def _mechanical_problems(self) -> list[tuple[str, str]]:
+        problems = []
+        if self.stress is not None and self.grains.contact_stiffness is None:
+            problems.append(("grains.modulus", "a stress needs modulus or normal_stiffness"))
+        if self.stress is not None and self.grains.packing != "random" and self.bonds is None:
+            problems.append(
+                ("stress", f"an unbonded {self.grains.packing} lattice cannot be loaded; add bonds")
+            )
+        if self.bonds is not None and self.stress is None:
+            problems.append(("bonds", "bonds act only where the scene names a stress"))
+        if self.matrix.half_force is not None and self.stress is None:
+            problems.append(("matrix.half_force", "apertures follow forces only under a stress"))
+        return problems
+
+    def _placement_problems(self) -> list[tuple[str, str]]:
+        problems = []
+        for well in self.wells:
+            at = np.array([well.at])
+            if not contains(self.region, at)[0]:
+                problems.append((f"wells.{well.name}.at", "the well lies outside the region"))
+            elif (room := distance_to_rim(self.region, at)[0]) < well.radius:
+                what = f"the well reaches beyond the rim, which is {room:.3g} m away"
+                problems.append((f"wells.{well.name}.radius", what))
+        for fracture in self.fractures:
+            if isinstance(fracture, FractureSet):
+                gap = fracture.spacing if fracture.gap is None else fracture.gap
+                count = self.region.area / (fracture.spacing * (fracture.length + gap))
+                if count > MOST_TRACES:
+                    what = f"about {count:.2g} fractures in the region, more than {MOST_TRACES}"
+                    problems.append((f"fractures.{fracture.name}.spacing", what))
+            elif not clip_segment(self.region, *fracture.ends):
+                what = "the fracture lies outside the region"
+                key = "at" if isinstance(fracture, BiWing) else "from"
+                problems.append((f"fractures.{fracture.name}.{key}", what))
+        for i, a in enumerate(self.wells):
+            for b in self.wells[:i]:
+                if math.dist(a.at, b.at) < a.radius + b.radius:
+                    problems.append((f"wells.{a.name}.at", f"the well overlaps {b.name}"))
+        within = contains(self.region, np.array([p.at for p in self.probes]).reshape(-1, 2))
+        for probe, is_within in zip(self.probes, within, strict=True):
+            if not is_within:
+                problems.append((f"probes.{probe.name}.at", "the probe lies outside the region"))
+        sides = {*self.region.sides, "outer"}
+        for name, pressure in self.boundaries:
+            if name not in sides:
+                known = ", ".join(sorted(sides))
+                problems.append(
+                    (f"boundaries.{name}", f"the region has no such side, only {known}")
+                )
+            if not math.isfinite(pressure):
+                problems.append((f"boundaries.{name}", "the pressure is not a finite number"))
+        if len(self.boundaries) > 1 and any(name == "outer" for name, _ in self.boundaries):
+            problems.append(("boundaries.outer", "outer names every side; name no other beside it"))
+        for kind, names in (
+            ("wells", [w.name for w in self.wells]),
+            ("fractures", [f.name for f in self.fractures]),
+            ("probes", [p.name for p in self.probes]),
+            ("boundaries", [n for n, _ in self.boundaries]),
+        ):
+            for name in {n for n in names if names.count(n) > 1}:
+                problems.append((f"{kind}.{name}", "the name is used twice"))
+        return problems
+
+    def _flow_problems(self) -> list[tuple[str, str]]:
+        problems = []
+        if not self.observe:
+            problems.append(("observe", "the list is empty, so nothing would be computed"))
+        for name in self.observe:
+            if name not in OBSERVABLES:
+                problems.append(("observe", f"{name} is none of {', '.join(OBSERVABLES)}"))
+        if "well_pressure" in self.observe and not self.wells:
+            problems.append(("observe", "well_pressure is asked for, but there is no well"))
+        if "probe_pressure" in self.observe and not self.probes:
+            problems.append(("observe", "probe_pressure is asked for, but there is no probe"))
+        if "boundary_flow" in self.observe and not self.boundaries:
+            problems.append(("observe", "boundary_flow is asked for, but every side is sealed"))
+        if self.flows and not self.wells and not self.boundaries:
+            problems.append(("wells", "nothing moves the fluid: add a well or a boundary pressure"))
+        if self.times and self.times[0] <= 0:
+            problems.append(("times", "times must be positive"))
+        if any(b <= a for a, b in zip(self.times, self.times[1:], strict=False)):
+            problems.append(("times", "times must increase"))
+        if not all(math.isfinite(t) for t in self.times):
+            problems.append(("times", "times must be finite"))
+        transient = self.flows and self.method != "steady"
+        if transient and not self.times:
+            problems.append(("times", f"solver.method {self.method} needs times"))
+        if transient and self.initial_pressure is None:
+            problems.append(("initial_pressure", "a transient starts from a pressure; give it"))
+        if self.flows and self.method == "steady" and self.times:
+            what = "a steady state has no times; leave them out, or choose another solver.method"
+            problems.append(("times", what))
+        if self.flows and self.method == "steady":
+            if not self.boundaries and all(w.pressure is None for w in self.wells):
+                problems.append(
+                    ("boundaries", "without a fixed pressure anywhere no steady state exists")
+                )
+            for well in self.wells:
+                if well.schedule is not None and len(well.schedule) > 1:
+                    problems.append(
+                        (f"wells.{well.name}.schedule", "a schedule has no steady state")
+                    )
+        return problems

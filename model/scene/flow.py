@@ -1,0 +1,127 @@
+"""The pores and what flows in them: pipes of the matrix, the fluid, wells, probes, the solver."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from model.parameters import SceneError, check_fields, parameter
+
+__all__ = ["Fluid", "Matrix", "Probe", "Solver", "Well"]
+
+
+@dataclass(frozen=True, slots=True)
+class Matrix:
+    """The pipes of the rock between fractures. Give either `permeability` or `aperture`.
+
+    A permeability fixes the aperture w0 of every pipe in the unstressed state.
+    """
+
+    permeability: float | None = parameter(
+        "m2", default=None, above=0, help="matrix permeability, unstressed"
+    )
+    aperture: float | None = parameter(
+        "m", default=None, at_least=0, help="pipe aperture w0, unstressed; 0 seals the matrix"
+    )
+    half_force: float | None = parameter(
+        "N/m",
+        default=None,
+        above=0,
+        help="contact force F0 that halves an aperture (Eq. 2); forces are about 2 r times the "
+        "stress, so it belongs to a grain size",
+    )
+    gap_factor: float = parameter(
+        default=0.5, at_least=0, at_most=1, help="aperture gained per gap between grains, m (Eq. 3)"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if (self.permeability is None) == (self.aperture is None):
+            raise SceneError([("permeability", "give either permeability or aperture")])
+
+
+@dataclass(frozen=True, slots=True)
+class Fluid:
+    """A slightly compressible liquid."""
+
+    viscosity: float = parameter("Pa s", above=0, help="dynamic viscosity")
+    bulk_modulus: float = parameter("Pa", above=0, help="bulk modulus K_f = 1 / compressibility")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Well:
+    """A well of finite radius at a rate, a pressure or a schedule of rates.
+
+    All pores whose centroid lies within the radius share the well's pressure; a well
+    narrower than the pores stands in the nearest one (Peaceman's equivalent radius).
+    """
+
+    name: str
+    at: tuple[float, float] = parameter("m", help="position")
+    radius: float = parameter("m", above=0, help="wellbore radius")
+    rate: float | None = parameter(
+        "m3/s", default=None, help="constant rate; positive produces, negative injects"
+    )
+    pressure: float | None = parameter("Pa", default=None, help="constant bottom-hole pressure")
+    schedule: tuple[tuple[float, float], ...] | None = parameter(
+        "s, m3/s", default=None, help="rate changes [[time, rate], …]; rate 0 shuts the well in"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        given = [k for k in ("rate", "pressure", "schedule") if getattr(self, k) is not None]
+        if len(given) != 1:
+            where = given[0] if given else ""
+            raise SceneError([(where, "give exactly one of rate, pressure, schedule")])
+        if self.schedule is not None:
+            starts = [t for t, _ in self.schedule]
+            if not starts:
+                raise SceneError([("schedule", "the schedule is empty")])
+            if not all(math.isfinite(v) for entry in self.schedule for v in entry):
+                raise SceneError([("schedule", "times and rates must be finite")])
+            if starts[0] < 0 or any(b <= a for a, b in zip(starts, starts[1:], strict=False)):
+                raise SceneError([("schedule", "times must increase, from 0 s on")])
+
+    @property
+    def rate_changes(self) -> tuple[tuple[float, float], ...]:
+        """Times (s) and new rates (m³/s) of the well; empty at constant pressure."""
+        if self.schedule is not None:
+            return self.schedule
+        return () if self.rate is None else ((0.0, self.rate),)
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """A point at which pressure is recorded: that of the pore in which it lies."""
+
+    name: str
+    at: tuple[float, float] = parameter("m", help="position")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Solver:
+    """How the pressure is found."""
+
+    method: str = parameter(
+        default="auto",
+        choices=("auto", "explicit", "implicit", "krylov", "steady"),
+        help="auto takes krylov for a transient, steady where no times are given",
+    )
+    tolerance: float = parameter(
+        default=1e-4,
+        above=0,
+        below=1,
+        help="relative error in time of the well pressure change (krylov, implicit)",
+    )
+    safety_factor: float = parameter(
+        default=0.9, above=0, at_most=4, help="explicit step over its positivity limit (Eq. 14)"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)

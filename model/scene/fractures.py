@@ -1,0 +1,120 @@
+"""Fractures as the scene names them: bi-wings, sets and single traces; barriers too."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from model.parameters import SceneError, check_fields, parameter
+
+__all__ = ["BiWing", "Fracture", "FractureSet", "Trace"]
+
+
+@dataclass(frozen=True, slots=True)
+class _FractureProperties:
+    """What a fracture does to flow; exactly one of the first three.
+
+    `permeability`: its pipes get the aperture of a medium of that permeability (the
+    paper's meaning). `aperture`: a hydraulic aperture whose transmissivity along the
+    trace is w³ / (12 μ) (the engineer's). `transmissibility_multiplier`: a barrier;
+    the pipes that run across the trace keep this fraction of their conductance.
+    """
+
+    name: str
+    permeability: float | None = parameter(
+        "m2", default=None, above=0, help="permeability of a medium with the fracture's aperture"
+    )
+    aperture: float | None = parameter(
+        "m", default=None, above=0, help="hydraulic aperture; transmissivity w³ / (12 μ)"
+    )
+    transmissibility_multiplier: float | None = parameter(
+        default=None, at_least=0, at_most=1, help="barrier: fraction of the flow that it lets cross"
+    )
+    pore_storage: str | None = parameter(
+        default=None,
+        choices=("matrix", "fracture"),
+        help="who owns the storage of the pores along the trace; "
+        "default: matrix for an aperture, fracture for a permeability",
+    )
+
+    def _problems(self) -> list[tuple[str, str]]:
+        given = [
+            key
+            for key in ("permeability", "aperture", "transmissibility_multiplier")
+            if getattr(self, key) is not None
+        ]
+        if len(given) != 1:
+            return [
+                (
+                    given[0] if given else "",
+                    "give exactly one of permeability, aperture, transmissibility_multiplier",
+                )
+            ]
+        return []
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BiWing(_FractureProperties):
+    """A straight fracture with two equal wings, as hydraulic fracturing makes from a well."""
+
+    at: tuple[float, float] = parameter("m", help="centre")
+    angle: float = parameter("rad", help="angle from the x axis, counter-clockwise")
+    half_length: float = parameter("m", above=0, help="length of each wing")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if problems := self._problems():
+            raise SceneError(problems)
+
+    @property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two tips, m."""
+        dx = self.half_length * math.cos(self.angle)
+        dy = self.half_length * math.sin(self.angle)
+        return (self.at[0] - dx, self.at[1] - dy), (self.at[0] + dx, self.at[1] + dy)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FractureSet(_FractureProperties):
+    """Parallel natural fractures over the whole region.
+
+    Rows lie `spacing` apart, one of them through the origin. Along a row, fractures of
+    `length` follow each other with a `gap` between them (default: the spacing), and
+    every second row is shifted by half a period.
+    """
+
+    angle: float = parameter("rad", help="angle from the x axis, counter-clockwise")
+    length: float = parameter("m", above=0, help="length of each fracture")
+    spacing: float = parameter("m", above=0, help="distance between rows, across the fractures")
+    gap: float | None = parameter(
+        "m", default=None, above=0, help="distance between the fractures of a row"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if problems := self._problems():
+            raise SceneError(problems)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trace(_FractureProperties):
+    """A single straight fracture from point to point."""
+
+    start: tuple[float, float] = parameter("m", key="from", help="one end")
+    end: tuple[float, float] = parameter("m", key="to", help="other end")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        problems = self._problems()
+        if self.start == self.end:
+            problems.append(("to", "the fracture has zero length"))
+        if problems:
+            raise SceneError(problems)
+
+    @property
+    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """The two ends, m."""
+        return self.start, self.end
+
+
+Fracture = BiWing | FractureSet | Trace

@@ -1,0 +1,103 @@
+"""The rock: its grains, the cement between them and the stresses on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from model.parameters import SceneError, check_fields, parameter
+
+__all__ = ["Bonds", "Grains", "Stress"]
+
+# What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
+# 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
+LEAST_POROSITY, GREATEST_POROSITY = 0.135, 0.22
+
+
+@dataclass(frozen=True, slots=True)
+class Grains:
+    """The discs: how many, how large, how packed, and how their contacts respond.
+
+    Give `count` or `mean_radius`, and `modulus` or `normal_stiffness`.
+    """
+
+    count: int | None = parameter(
+        default=None, at_least=1, at_most=2_000_000, help="grains inside the region"
+    )
+    mean_radius: float | None = parameter(
+        "m", default=None, above=0, help="mean grain radius, instead of a count"
+    )
+    packing: str = parameter(
+        default="random", choices=("random", "square", "hexagonal"), help="arrangement of grains"
+    )
+    radius_ratio: float = parameter(
+        default=1.66, at_least=1, at_most=10, help="largest over smallest radius, uniform between"
+    )
+    porosity: float | None = parameter(
+        default=None,
+        at_least=LEAST_POROSITY,
+        at_most=GREATEST_POROSITY,
+        help="porosity of a random packing",
+    )
+    seed: int = parameter(default=1, at_least=0, help="seed of the random packing")
+    modulus: float | None = parameter(
+        "Pa", default=None, above=0, help="grain contact modulus E_c; k_n = 2 E_c for unit depth"
+    )
+    normal_stiffness: float | None = parameter(
+        "N/m", default=None, above=0, help="normal contact stiffness k_n, instead of a modulus"
+    )
+    stiffness_ratio: float = parameter(
+        default=2.5, above=0, help="normal over shear contact stiffness, k_n / k_s"
+    )
+    friction: float = parameter(default=0.5, at_least=0, help="contact friction coefficient")
+    density: float = parameter(
+        "kg/m3", default=2650.0, above=0, help="grain density (quasi-static results ignore it)"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        problems = []
+        if (self.count is None) == (self.mean_radius is None):
+            problems.append(("count", "give either count or mean_radius"))
+        if self.modulus is not None and self.normal_stiffness is not None:
+            problems.append(("modulus", "give either modulus or normal_stiffness"))
+        if self.packing == "random" and self.porosity is None:
+            problems.append(("porosity", "a random packing needs a porosity, for instance 0.17"))
+        if self.packing != "random" and self.porosity is not None:
+            problems.append(("porosity", f"a {self.packing} packing has a porosity of its own"))
+        if problems:
+            raise SceneError(problems)
+
+    @property
+    def contact_stiffness(self) -> float | None:
+        """Normal stiffness k_n of a contact, N/m per metre of depth.
+
+        k_n = 2 E_c t with t = 1 m (Potyondy & Cundall 2004, Eq. 21). None where
+        neither modulus nor stiffness is given.
+        """
+        return 2.0 * self.modulus if self.modulus is not None else self.normal_stiffness
+
+
+@dataclass(frozen=True, slots=True)
+class Bonds:
+    """Cement at the contacts. Strengths are stresses over the bond's cross-section."""
+
+    kind: str = parameter(choices=("contact", "parallel"), help="force only, or force and moment")
+    tensile_strength: float = parameter("Pa", at_least=0, help="tensile strength")
+    shear_strength: float = parameter("Pa", at_least=0, help="shear strength")
+    radius_multiplier: float = parameter(
+        default=1.0, above=0, at_most=1, help="bond half-width over the smaller grain radius"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Stress:
+    """Principal stresses that the walls apply, positive in compression."""
+
+    xx: float = parameter("Pa", above=0, help="stress on the left and right walls")
+    yy: float = parameter("Pa", above=0, help="stress on the bottom and top walls")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
