@@ -11,6 +11,7 @@ from model.region import Circle, Polygon, Rectangle, Region
 from model.scene.case import OBSERVABLES, Scene
 from model.scene.flow import Fluid, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet, Trace
+from model.scene.lines import Line, lines_of
 from model.scene.rock import Bonds, Grains, Stress
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Fracture",
     "FractureSet",
     "Grains",
+    "Line",
     "Matrix",
     "Polygon",
     "Probe",
@@ -33,4 +35,5 @@ __all__ = [
     "Stress",
     "Trace",
     "Well",
+    "lines_of",
 ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -68,13 +69,14 @@ def display(unit: str, values: np.ndarray | float) -> tuple[float, str]:
     return factor, _SYMBOLS.get(choice, choice)
 
 
-def with_unit(value: object, unit: str, digits: int = 4) -> str:
+def with_unit(value: Any, unit: str, digits: int = 4) -> str:
     """A value as people write it: `with_unit(5e6, "Pa")` is `5 MPa`; a word stays a word."""
-    if isinstance(value, str) or not np.isscalar(value) or not np.isreal(value):
+    if isinstance(value, str) or not np.ndim(value) == 0 or not np.isrealobj(value):
         return str(value)
-    factor, name = display(unit, float(value))  # type: ignore[arg-type]
+    size = float(value)
+    factor, name = display(unit, size)
     space = "" if name in ("", "°") else " "
-    return f"{plain_number(float(value) * factor, digits)}{space}{name}"  # type: ignore[arg-type]
+    return f"{plain_number(size * factor, digits)}{space}{name}"
 
 
 def plain_number(value: float, digits: int = 4) -> str:

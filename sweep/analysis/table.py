@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 
 class Table(NamedTuple):
@@ -26,7 +26,7 @@ class Table(NamedTuple):
         return path
 
 
-def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[object]]) -> Table:
+def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
     """A `Table` with plain Python values (NumPy numbers become Python's)."""
     plain = tuple(tuple(v.item() if hasattr(v, "item") else v for v in row) for row in rows)
-    return Table(title, tuple(columns), plain)  # type: ignore[arg-type]
+    return Table(title, tuple(columns), plain)

@@ -159,7 +159,7 @@ def _markers(
     x: np.ndarray,
     computed: np.ndarray,
     expected: np.ndarray,
-    colour: object,
+    colour: str,
     name: str,
 ) -> None:
     """Means over cases (c, n), bars of one standard deviation of their differences."""
@@ -168,7 +168,7 @@ def _markers(
         x,
         _mean(computed),
         yerr=bars,
-        color=colour,  # type: ignore[arg-type]
+        color=colour,
         linestyle="none",
         marker="o",
         markersize=4,
@@ -178,14 +178,13 @@ def _markers(
     )
 
 
-def _difference(panel: Axes, x: np.ndarray, percent: np.ndarray, colour: object) -> None:
+def _difference(panel: Axes, x: np.ndarray, percent: np.ndarray, colour: str) -> None:
     """Mean difference over cases (c, n) as a line in a band of one standard deviation."""
     mean = _mean(percent)
-    look = {"color": colour, "linewidth": 1.2, "marker": "o", "markersize": 3}
-    panel.plot(x, mean, **look)  # type: ignore[arg-type]
+    panel.plot(x, mean, color=colour, linewidth=1.2, marker="o", markersize=3)
     if len(percent) > 1:
         band = _deviation(percent)
-        panel.fill_between(x, mean - band, mean + band, color=colour, alpha=0.15, linewidth=0)  # type: ignore[arg-type]
+        panel.fill_between(x, mean - band, mean + band, color=colour, alpha=0.15, linewidth=0)
 
 
 def _mean(values: np.ndarray) -> np.ndarray:

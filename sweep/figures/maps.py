@@ -16,7 +16,7 @@ from matplotlib.patches import Polygon as PolygonPatch
 from matplotlib.patheffects import withStroke
 
 from model.region import Circle, bounding_box, contains
-from model.scene import Scene
+from model.scene import Fracture, Scene, lines_of
 from sweep.analysis.cases import display, with_unit
 from sweep.figures.style import BLACK, SEQUENTIAL, VERMILION, label, new_figure, save
 
@@ -136,6 +136,7 @@ def draw_maps(
         panel.add_collection(patches)
         _grains(panel, maps, scene)
         _fractures(panel, maps)
+        _barriers(panel, scene)
         for collection in panel.collections:
             collection.set_clip_path(outline)
         _wells(panel, scene)
@@ -158,7 +159,9 @@ def draw_maps(
     figure.suptitle(heading, fontsize=10.5)
     shown = ", ".join(titles)
     caption = f"Pore pressure, {heading.replace(chr(10), ', ')}: {shown}. Each polygon is a pore"
-    caption += ", white lines are pipes along fractures" if scene.fractures else ""
+    barriers = [_is_barrier(fracture) for fracture in scene.fractures]
+    caption += "" if all(barriers) else ", white lines are pipes along fractures"
+    caption += ", dashed black lines are barriers" if any(barriers) else ""
     caption += ", wells are circles." if scene.wells else "."
     if any(beyond):
         caption += f" Colours end at the percentiles {CLIP[0]:g} and {CLIP[1]:g}."
@@ -208,6 +211,24 @@ def _fractures(panel: Axes, maps: xr.Dataset) -> None:
             colors="white",
             linewidths=0.9,
             path_effects=[withStroke(linewidth=1.7, foreground=(0, 0, 0, 0.55))],
+        )
+    )
+
+
+def _is_barrier(fracture: Fracture) -> bool:
+    return fracture.transmissibility_multiplier is not None
+
+
+def _barriers(panel: Axes, scene: Scene) -> None:
+    barriers = tuple(fracture for fracture in scene.fractures if _is_barrier(fracture))
+    segments = [(line.start, line.end) for line in lines_of(barriers, scene.region)]
+    panel.add_collection(
+        LineCollection(
+            segments,
+            colors=BLACK,
+            linewidths=1.3,
+            linestyles=(0, (4, 2)),
+            path_effects=[withStroke(linewidth=2.4, foreground=(1, 1, 1, 0.7))],
         )
     )
 

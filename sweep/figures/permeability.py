@@ -114,8 +114,16 @@ def _draw(
     order = np.argsort(place)
     single = curves.shape[1] == 1
     if not single:
-        style = {"linestyle": "none", "marker": "."} if ensemble else {"linewidth": 0.6}
-        panel.plot(place[order], curves[order], color=colour, alpha=0.45, **style)  # type: ignore[arg-type]
+        line, dot = ("none", ".") if ensemble else ("-", "none")
+        panel.plot(
+            place[order],
+            curves[order],
+            color=colour,
+            alpha=0.45,
+            linestyle=line,
+            linewidth=0.6,
+            marker=dot,
+        )
     positive = np.where(curves > 0, curves, np.nan)
     count = np.sum(np.isfinite(positive), axis=1)
     total = np.nansum(np.log(positive), axis=1)

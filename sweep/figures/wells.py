@@ -45,7 +45,8 @@ class _Roles(NamedTuple):
 
 def _roles(dataset: xr.Dataset) -> _Roles:
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
-    names = tuple((varied + [None] * 4)[:4])  # type: ignore[list-item]
+    unused: list[str | None] = [None] * len(_MOST)
+    names = tuple([*varied, *unused][: len(_MOST)])
     shown = tuple(
         pick(dataset.sizes[name], most) if name else [0]
         for name, most in zip(names, _MOST, strict=True)

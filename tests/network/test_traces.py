@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from model.network.apertures import transmissivity
 from model.network.domains import network
-from model.network.traces import Line, chain_along, lines_of, pipes_across
+from model.network.traces import chain_along, pipes_across
 from model.region import Circle, Polygon, Rectangle, clip_segment, contains
-from model.scene import BiWing, FractureSet, Trace
+from model.scene import BiWing, FractureSet, Line, Trace, lines_of
 from tests.reservoirs import reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
 
