@@ -71,7 +71,7 @@ def display(unit: str, values: np.ndarray | float) -> tuple[float, str]:
 
 def with_unit(value: Any, unit: str, digits: int = 4) -> str:
     """A value as people write it: `with_unit(5e6, "Pa")` is `5 MPa`; a word stays a word."""
-    if isinstance(value, str) or not np.ndim(value) == 0 or not np.isrealobj(value):
+    if isinstance(value, str) or np.ndim(value) != 0 or not np.isrealobj(value):
         return str(value)
     size = float(value)
     factor, name = display(unit, size)
