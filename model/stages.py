@@ -214,7 +214,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         run=flow,
-        version=1,
+        version=2,
         parents=("network", "open"),
         reads={
             "region": lambda s: s.region,
@@ -227,6 +227,7 @@ STAGES: tuple[Stage, ...] = (
             "method": lambda s: s.method,
             "tolerance": lambda s: s.solver.tolerance,
             "safety_factor": lambda s: s.solver.safety_factor,
+            "step": lambda s: s.solver.step,
             "record_map": lambda s: "pressure_map" in s.observe,
             "check_flows": _observes_flows,
         },

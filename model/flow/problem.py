@@ -24,6 +24,7 @@ class Problem(NamedTuple):
     domain: np.ndarray  # (m,) domains of the maps, empty where none is asked for
     tolerance: float
     safety_factor: float
+    step: float | None = None  # s, what explicit takes for its limit; None: the positivity limit
     check_flows: bool = True  # inflows at fixed pressures are held to the tolerance too
 
     @property

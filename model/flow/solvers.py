@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.flow.explicit import explicit
+from model.flow.explicit import explicit, paper_step
 from model.flow.implicit import implicit
 from model.flow.krylov import krylov
 from model.flow.problem import Answer, Problem
@@ -81,6 +81,7 @@ def flow(
     tolerance: float,
     safety_factor: float,
     record_map: bool,
+    step: str = "corrected",
     check_flows: bool = True,
 ) -> Responses:
     """Responses of the network to a unit step of each source (the *flow* stage).
@@ -97,7 +98,7 @@ def flow(
     active : for each source (sides, wells at a pressure, wells at a rate), whether it acts.
     probes : points whose pressure is recorded.
     times : output times in s; empty for the steady state.
-    method, tolerance, safety_factor : of the solver, see `model.scene.Solver`.
+    method, tolerance, safety_factor, step : of the solver, see `model.scene.Solver`.
     record_map : whether the pressure of every domain is kept.
     check_flows : whether the tolerance holds for boundary flows too, which converge more slowly
         than the pressure of a well.
@@ -121,6 +122,9 @@ def flow(
         domain=np.flatnonzero(network.inside) if record_map else np.empty(0, dtype=np.int64),
         tolerance=tolerance,
         safety_factor=safety_factor,
+        step=paper_step(network, apertures, bulk_modulus, system.domain)
+        if step == "paper"
+        else None,
         check_flows=check_flows,
     )
     answer = SOLVERS[method].run(problem)

@@ -120,7 +120,13 @@ class Solver:
         help="relative error in time of the well pressure change (krylov, implicit)",
     )
     safety_factor: float = parameter(
-        default=0.9, above=0, at_most=4, help="explicit step over its positivity limit (Eq. 14)"
+        default=0.9, above=0, at_most=4, help="explicit step over its limit (Eq. 14)"
+    )
+    step: str = parameter(
+        default="corrected",
+        choices=("corrected", "paper"),
+        help="limit of the explicit step: corrected is C / Σg of each pore, which keeps pressures "
+        "positive; paper is Eq. 14 as printed, with one aperture per pore",
     )
 
     def __post_init__(self) -> None:
