@@ -127,7 +127,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         "probe_pressure": probes,
         "mass_balance_error": np.asarray(_imbalance(responses, told, steps, times, rate, flows)),
         "residual": responses.residual,
-        "time_error": responses.time_error,
+        "estimated_error": responses.time_error,
         "isolated_domains": responses.isolated,
     }
     if not told.transient:

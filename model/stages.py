@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
 from model.flow.solvers import flow
 from model.mechanics.packing import pack
 from model.mechanics.stress import load as stress
@@ -76,6 +77,7 @@ def observe(
     apertures: Apertures,
     permeability: Permeability | None,
     responses: Responses | None,
+    reference: Responses | None,
     *,
     region: Region,
     told: Controls,
@@ -110,6 +112,10 @@ def observe(
             if name not in wanted:
                 for key in needs:
                     found.pop(key, None)
+    if responses is not None and reference is not None:
+        fixed = len(told.side_pressures) + sum(w.pressure is not None for w in told.wells)
+        flows = "boundary_flow" in wanted or any(w.pressure is not None for w in told.wells)
+        found["time_error"] = np.asarray(time_error(responses, reference, fixed, flows))
     return {name: np.asarray(value) for name, value in found.items()}
 
 
@@ -136,6 +142,22 @@ def _observes_flows(scene: Scene) -> bool:
 def _always(scene: Scene) -> bool:
     return True
 
+
+_FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
+    "region": lambda s: s.region,
+    "bulk_modulus": lambda s: s.fluid.bulk_modulus,
+    "wells": lambda s: sites(s.wells),
+    "sides": lambda s: tuple(name for name, _ in s.boundaries),
+    "active": active_sources,
+    "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
+    "times": lambda s: controls(s).times,
+    "method": lambda s: s.method,
+    "tolerance": lambda s: s.solver.tolerance,
+    "safety_factor": lambda s: s.solver.safety_factor,
+    "step": lambda s: s.solver.step,
+    "record_map": lambda s: "pressure_map" in s.observe,
+    "check_flows": _observes_flows,
+}
 
 STAGES: tuple[Stage, ...] = (
     Stage(
@@ -216,29 +238,30 @@ STAGES: tuple[Stage, ...] = (
         run=flow,
         version=2,
         parents=("network", "open"),
-        reads={
-            "region": lambda s: s.region,
-            "bulk_modulus": lambda s: s.fluid.bulk_modulus,
-            "wells": lambda s: sites(s.wells),
-            "sides": lambda s: tuple(name for name, _ in s.boundaries),
-            "active": active_sources,
-            "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
-            "times": lambda s: controls(s).times,
-            "method": lambda s: s.method,
-            "tolerance": lambda s: s.solver.tolerance,
-            "safety_factor": lambda s: s.solver.safety_factor,
-            "step": lambda s: s.solver.step,
-            "record_map": lambda s: "pressure_map" in s.observe,
-            "check_flows": _observes_flows,
-        },
+        reads=_FLOW_READS,
         wanted=lambda s: s.flows,
+        product=Responses,
+    ),
+    Stage(
+        name="reference",
+        run=flow,
+        version=1,
+        parents=("network", "open"),
+        reads={
+            **_FLOW_READS,
+            "method": lambda s: REFERENCE_METHOD,
+            "tolerance": lambda s: REFERENCE_TOLERANCE,
+            "safety_factor": lambda s: 1.0,
+            "step": lambda s: "corrected",
+        },
+        wanted=lambda s: s.flows and "time_error" in s.observe and s.method != "steady",
         product=Responses,
     ),
     Stage(
         name="observe",
         run=observe,
-        version=1,
-        parents=("pack", "stress", "network", "open", "measure", "flow"),
+        version=2,
+        parents=("pack", "stress", "network", "open", "measure", "flow", "reference"),
         reads={
             "region": lambda s: s.region,
             "told": controls,

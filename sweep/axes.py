@@ -41,6 +41,7 @@ class Axis:
     units: tuple[str, ...]  # SI unit of each parameter, rad for angles
     labels: tuple[str, ...]  # name of each parameter as a coordinate, unique in the study
     long_names: tuple[str, ...]  # what each parameter means
+    names: tuple[str, ...] = ()  # of the points, where these are variants of the scene
 
 
 class Draft(NamedTuple):
@@ -127,7 +128,7 @@ def read_axes(drafts: list[Draft], values: dict[str, Any], reading: Reading) -> 
             ),
         )
         axes.append(Located(axis, tuple(place for _, place in points)))
-    return _labelled(axes)
+    return axes
 
 
 def _check_name(name: str, place: Place, reading: Reading) -> None:
@@ -309,13 +310,16 @@ def _long_name(path: str, parameter: Parameter) -> str:
     return f"{owner}: {meaning}" if owner else meaning
 
 
-def _labelled(axes: list[Located]) -> list[Located]:
-    """Give every parameter a coordinate name: the last two parts of its path, if that is free."""
+def labelled(axes: list[Located]) -> list[Located]:
+    """Give every parameter a coordinate name: the last two parts of its path, if that is free.
+
+    Variants are named by their points alone.
+    """
     taken = set(RESERVED) | {located.axis.name for located in axes}
     labelled = []
     for located in axes:
         labels = []
-        for path in located.axis.parameters:
+        for path in () if located.axis.names else located.axis.parameters:
             parts = path.replace("-", "_").split(".")
             label = "_".join(parts[-2:])
             if label in taken:

@@ -69,6 +69,8 @@ def coordinates(axis: Axis) -> tuple[Coordinate, ...]:
     several parameters, or over points) counts 0, 1, …, and its parameters follow
     under `axis.labels`, points as `…_x` and `…_y`.
     """
+    if axis.names:
+        return (Coordinate(axis.name, np.array(axis.names), "", "variant of the scene"),)
     columns = [
         _columns([point[k] for point in axis.values], label, axis.units[k], axis.long_names[k])
         for k, label in enumerate(axis.labels)

@@ -189,7 +189,8 @@ def status(options: argparse.Namespace) -> int:
             print(f"{at or 'the case'}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:
             print(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
-    return SOME_FAILED if failed else GOOD
+    good = prepared.as_expected(verdicts) | [v.status is Status.NOT_RUN for v in verdicts]
+    return GOOD if good.all() else SOME_FAILED
 
 
 def report(options: argparse.Namespace) -> int:

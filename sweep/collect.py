@@ -109,7 +109,10 @@ def collect(
                 for case in tile.cases:
                     if verdicts[case].status is Status.DONE:
                         _take(case, plan, store, scene_of, writer)
-                    writer.end_case(case, verdicts[case], _seconds(case, plan, store, writer))
+                    spent = {"compute_time": _seconds(case, plan, store, writer)}
+                    if "solver_time" in file.variables:
+                        spent["solver_time"] = _solver_seconds(case, plan, store)
+                    writer.end_case(case, verdicts[case], spent)
                 writer.flush()
             writer.describe(plan, digest)
         if writer.damaged:
@@ -259,6 +262,15 @@ def _seconds(case: int, plan: Plan, store: Store, writer: _Writer) -> float:
     return total
 
 
+def _solver_seconds(case: int, plan: Plan, store: Store) -> float:
+    """Processor time of the flow stage of a case, whichever case caused it to run."""
+    for run in plan.case_runs(case):
+        if plan.stage_of(run).name == "flow":
+            with suppress(MissingError, DamagedError):
+                return float(store.meta(plan.runs[run].id).get("cpu_seconds", math.nan))
+    return math.nan
+
+
 @dataclass
 class _Writer:
     """Fills the file, tile by tile."""
@@ -278,7 +290,8 @@ class _Writer:
                 self._axis_coordinate(axis.name, coordinate)
         self._status()
         for name, quantity in SWEEP.items():
-            self._variable(name, quantity)
+            if not quantity.needs or set(quantity.needs) & set(self.labels.observed):
+                self._variable(name, quantity)
         for name, quantity in CASE.items():
             # what was asked for is there, be it NaN in every case
             timeless = quantity.transient and len(self.labels.times) == 0
@@ -303,12 +316,13 @@ class _Writer:
             target = self.blocks[name][case - self.tile.cases.start, ...]
             _place(target, np.asarray(array, dtype=float), self._where(dimensions, scene))
 
-    def end_case(self, case: int, ended: Verdict, seconds: float) -> None:
-        """Take how a case ended."""
+    def end_case(self, case: int, ended: Verdict, spent: Mapping[str, float]) -> None:
+        """Take how a case ended, and the times that it took."""
         k = case - self.tile.cases.start
         self.status[k], self.message[k] = int(ended.status), ended.message
-        times = self.blocks.setdefault("compute_time", np.full(len(self.tile.cases), np.nan))
-        times[k] = seconds
+        for name, seconds in spent.items():
+            times = self.blocks.setdefault(name, np.full(len(self.tile.cases), np.nan))
+            times[k] = seconds
 
     def flush(self) -> None:
         """Write the cases that were taken."""

@@ -15,6 +15,7 @@ import numpy as np
 
 from model.parameters import SceneError
 from sweep.cost import Costs
+from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
 from sweep.lock import FolderLock, LockedError
 from sweep.plan import Plan, make_plan
 from sweep.progress import Progress
@@ -35,7 +36,7 @@ __all__ = ["Finished", "LockedError", "Prepared", "StoreError", "prepare", "run"
 
 STUDY_FILE, DATASET_FILE, REPORT_FILE = "study.yaml", "dataset.nc", "report.html"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
-COLLECTOR = 1  # raise it whenever the dataset made of the same products changes
+COLLECTOR = 2  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
 
@@ -70,6 +71,37 @@ class Prepared:
         every = range(len(self.plan.cases))
         return [verdict(self.plan, self.store, stored, case) for case in every]
 
+    def as_expected(self, verdicts: list[Verdict]) -> np.ndarray:
+        """Which cases ended as the study says that they should, (cases,) bool.
+
+        Without a word about it in the study, every case should be done. Bounds are held against
+        the dataset, where there is one.
+        """
+        study = self.study
+        places = itertools.product(*map(range, study.shape))
+        promised = [study.expectation(place) for place in places]
+        good = np.array(
+            [
+                ends_as_expected(p, v.status, v.message)
+                for p, v in zip(promised, verdicts, strict=True)
+            ]
+        )
+        bounded = [p for p in promised if any(getattr(p, name) is not None for name in BOUNDED)]
+        if bounded and (self.folder / DATASET_FILE).exists():
+            from sweep.results import open_results
+
+            dataset = open_results(self.folder)
+            numbers = {
+                name: dataset[name].values.ravel()
+                for name in BOUNDED
+                if name in dataset and dataset[name].size == len(good)
+            }
+            for case in np.flatnonzero(good):
+                if verdicts[case].status is Status.DONE:
+                    found = {name: float(values[case]) for name, values in numbers.items()}
+                    good[case] = not beyond_bounds(promised[case], found)
+        return good
+
     def _may_pass(self, record: dict[str, Any]) -> bool:
         """Whether a limit that ended a run has been raised since."""
         ended = {Status.TIMED_OUT: "time", Status.OUT_OF_MEMORY: "memory"}
@@ -85,7 +117,7 @@ class Finished:
 
     folder: Path
     cases: int
-    failed: int
+    failed: int  # cases that did not end as the study expects
     executed: Executed | None  # None where everything was stored already
     collected: bool  # whether the dataset was written anew
     dataset: Path
@@ -185,7 +217,7 @@ def run_study(
         finished = Finished(
             folder=prepared.folder,
             cases=len(verdicts),
-            failed=sum(v.status is not Status.DONE for v in verdicts),
+            failed=int(np.count_nonzero(~prepared.as_expected(verdicts))),
             executed=executed,
             collected=collected,
             dataset=prepared.folder / DATASET_FILE,
@@ -234,7 +266,7 @@ def draw_study(
     """
     prepared = prepare(path, results, smoke=smoke, table=table)
     verdicts = prepared.verdicts()
-    failed = sum(v.status is not Status.DONE for v in verdicts)
+    failed = int(np.count_nonzero(~prepared.as_expected(verdicts)))
     dataset = prepared.folder / DATASET_FILE
     finished = Finished(prepared.folder, len(verdicts), failed, None, False, dataset)
     if not dataset.exists():

@@ -20,7 +20,7 @@ from sweep.units import UnitError, example, nearest, parse_quantity
 from sweep.yaml_source import Node, Place, Problem, Scalar, Sequence
 
 # keys that stand beside `scene` in a study although a scene (or nothing else) holds them
-BESIDE_SCENE = ("observe", "solver", "limits", "figures", "vary", "smoke")
+BESIDE_SCENE = ("observe", "solver", "limits", "figures", "expect", "vary", "smoke")
 
 
 class NoParameter(LookupError):

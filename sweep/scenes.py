@@ -22,11 +22,13 @@ class SceneBuilder:
         self._axes = axes
         self._parts: dict[str, dict[tuple[int, ...], Any]] = {key: {} for key in SCENE.members}
         # block -> the axes that touch it
+        # variants come first: they say what there is, and other axes move numbers in it
+        order = sorted(range(len(axes)), key=lambda number: not axes[number].names)
         self._touching: dict[str, tuple[int, ...]] = {
             key: tuple(
                 number
-                for number, axis in enumerate(axes)
-                if any(path.split(".")[0] == key for path in axis.parameters)
+                for number in order
+                if any(path.split(".")[0] == key for path in axes[number].parameters)
             )
             for key in SCENE.members
         }

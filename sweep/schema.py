@@ -12,6 +12,7 @@ from typing import Any
 
 from sweep.axes import MAX_CASES
 from sweep.blocks import Block, Named, Variants, Words
+from sweep.expect import EXPECT
 from sweep.grammar import Parameter, Section
 from sweep.scene_grammar import SCENE, ProbeForms, Times
 from sweep.study import FIGURES, LIMITS, NAME_PATTERN
@@ -57,6 +58,7 @@ def study_schema() -> Schema:
             "solver": _schema(SCENE.members["solver"].section),
             "limits": _schema(LIMITS),
             "figures": _schema(FIGURES),
+            "expect": _schema(EXPECT) | {"description": "how the cases end, within which bounds"},
             "smoke": {
                 "type": "object",
                 "description": "overrides that make the study small: path -> value",
@@ -78,10 +80,22 @@ def _axis_forms(path: Schema, value: Schema) -> list[Schema]:
         "parameters": {"type": "array", "minItems": 1, "items": path},
         "values": {"type": "array", "minItems": 1, "items": {"type": "array", "items": value}},
     }
+    variants = {
+        "variants": {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": {
+                "type": ["object", "null"],
+                "description": "overrides of the scene: path -> value; expect says how it ends",
+            },
+        },
+        "values": {"type": "array", "items": {"type": "string"}},
+    }
     return [
         _object({"parameter": path, "values": listed}, ["parameter", "values"]),
         _object(spaced, ["parameter", "from", "to", "count"]),
         _object(together, ["parameters", "values"]),
+        _object(variants, ["variants"]),
     ]
 
 

@@ -15,10 +15,15 @@ from sweep.yaml_source import Mapping, Node, Place, Problem, Scalar, Sequence
 _SPACING = ("from", "to", "count", "spacing")
 
 
-def overlaid(root: Mapping, smoke: Node) -> tuple[Mapping, set[Place], list[Problem]]:
-    """The tree with the overrides, the places that they come from, and their problems."""
+def overlaid(
+    root: Mapping, smoke: Node, what: str = "smoke"
+) -> tuple[Mapping, set[Place], list[Problem]]:
+    """The tree with the overrides, the places that they come from, and their problems.
+
+    `what` names the overrides in messages.
+    """
     if not isinstance(smoke, Mapping):
-        message = "smoke is a mapping of paths to values, as in {grains.count: 300}"
+        message = f"{what} is a mapping of paths to values, as in {{grains.count: 300}}"
         return root, set(), [Problem(*smoke.place, message)]
     problems: list[Problem] = []
     written: set[Place] = set()
@@ -27,7 +32,7 @@ def overlaid(root: Mapping, smoke: Node) -> tuple[Mapping, set[Place], list[Prob
         written |= {place, *_places(node)}
         parts = path.split(".")
         if parts[0] == "smoke" or (parts[0] == "vary" and len(parts) == 1):
-            problems.append(Problem(*place, f"smoke cannot override '{path}' as a whole"))
+            problems.append(Problem(*place, f"{what} cannot override '{path}' as a whole"))
             continue
         within = parts if parts[0] in (*BESIDE_SCENE, "title") else ["scene", *parts]
         try:
@@ -35,7 +40,7 @@ def overlaid(root: Mapping, smoke: Node) -> tuple[Mapping, set[Place], list[Prob
         except _Missing as missing:
             like = nearest(missing.key, missing.valid)
             hint = f"did you mean '{like}'?" if like else f"valid are {', '.join(missing.valid)}"
-            message = f"smoke: '{path}': the study has no '{missing.key}'; {hint}"
+            message = f"{what}: '{path}': the study has no '{missing.key}'; {hint}"
             problems.append(Problem(*place, message))
     return root, written, problems
 

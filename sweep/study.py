@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -19,19 +19,24 @@ from typing import Any
 from model.parameters import parameter
 from model.scene import OBSERVABLES
 from sweep import yaml_source
-from sweep.axes import MAX_CASES, Axis, Located, read_axes, read_drafts
+from sweep.axes import MAX_CASES, Axis, Located, labelled, read_axes, read_drafts
 from sweep.blocks import block_of
+from sweep.expect import EXPECT, Expectation
 from sweep.grammar import Reading, report_unknown
 from sweep.scene_grammar import SCENE
 from sweep.scenes import SceneBuilder
 from sweep.smoke import overlaid
 from sweep.units import describe, format_quantity
+from sweep.variants import VariantAxis, check_found_everywhere, read_variants, without_variants
 from sweep.yaml_source import Node, Place, Problem, Scalar, Source, StudyError, read_source
 
 __all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyError", "load_study"]
 
 MOST_COMBINATIONS = 2_000  # checked one by one before anything runs
-KEYS = ("study", "title", "scene", "vary", "observe", "solver", "limits", "figures", "smoke")
+KEYS = (
+    *("study", "title", "scene", "vary", "observe", "solver"),
+    *("limits", "figures", "expect", "smoke"),
+)
 NAME_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}"
 RESERVED_NAMES = ("store",)  # results/store holds the products of all studies
 
@@ -75,6 +80,14 @@ class Study:
     values: Mapping[str, Any]  # of the scene, SI, without those of the axes; not to be changed
     limits: Limits
     figures: Figures
+    promised: tuple[Expectation, ...] = ()  # one for all cases, or one for each variant; or none
+
+    def expectation(self, index: Sequence[int]) -> Expectation:
+        """How the case at a position along each axis should end."""
+        if len(self.promised) < 2:
+            return self.promised[0] if self.promised else Expectation()
+        number = next(number for number, axis in enumerate(self.axes) if axis.names)
+        return self.promised[index[number]]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -126,9 +139,16 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
             meant.add(report_unknown(key, place, KEYS, "", reading, at="the study"))
     name = "" if "study" in meant else _name(entries.get("study"), reading)
     title = _title(entries.get("title"), reading) or name
-    drafts = read_drafts(entries.get("vary"), reading)
-    values = _scene_values(root, meant, reading)
+    drafts = read_drafts(without_variants(entries.get("vary")), reading)
+    variants = read_variants(root, reading)
+    scenes = _scenes_of(root, variants, meant, reading)
+    values = scenes[0]
     axes = read_axes(drafts, values, reading)
+    if variants is not None:
+        check_found_everywhere(drafts, variants, scenes, reading)
+        axes.insert(variants.position, variants.located(scenes))
+    axes = labelled(axes)
+    promised = _promised(entries.get("expect"), variants, reading)
     blocks: dict[str, Any] = {}
     for key, block in (("limits", LIMITS), ("figures", FIGURES)):
         node = entries.get(key)
@@ -159,6 +179,7 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
         values=values,
         limits=blocks["limits"],
         figures=blocks["figures"],
+        promised=promised,
     )
     return study, reading
 
@@ -188,6 +209,48 @@ def _title(node: Node | None, reading: Reading) -> str:
         reading.report(node.place, "title is a line of text; quote it if it holds ': ' or '['")
         return ""
     return "" if node.empty else node.text
+
+
+def _scenes_of(
+    root: yaml_source.Mapping,
+    variants: VariantAxis | None,
+    meant: set[str | None],
+    reading: Reading,
+) -> list[dict[str, Any]]:
+    """Values of the scene, of each variant where there are some."""
+    if variants is None:
+        return [_scene_values(root, meant, reading)]
+    known = {*reading.problems}
+    scenes = [_scene_values(variants.points[0].tree, meant, reading)]
+    known |= {*reading.problems}
+    for point in variants.points[1:]:
+        inner = Reading(supplied=reading.supplied)
+        scenes.append(_scene_values(point.tree, meant, inner))
+        reading.problems += [problem for problem in inner.problems if problem not in known]
+        reading.unreadable |= inner.unreadable
+        known |= {*inner.problems}
+    return scenes
+
+
+def _promised(
+    node: Node | None, variants: VariantAxis | None, reading: Reading
+) -> tuple[Expectation, ...]:
+    """What is expected of all cases, or of each variant: its own words go before the study's."""
+
+    def read(node: Node | None, path: str) -> dict[str, Any]:
+        if node is None or (isinstance(node, Scalar) and node.empty):
+            return {}
+        if isinstance(node, Scalar):  # `expect: failed` is short for its status
+            node = yaml_source.Mapping(node.place, {"status": node}, {"status": node.place})
+        return EXPECT.read(node, path, reading)
+
+    common = read(node, "expect")
+    points = variants.points if variants is not None else ()
+    own = [read(point.expect, "expect") for point in points]
+    if not common and not any(own):
+        return ()
+    built = [EXPECT.build({**common, **one}, "expect", []) for one in own or [{}]]
+    return tuple(built)
 
 
 def _scene_values(
@@ -230,6 +293,7 @@ def _check_scenes(
         for path in reading.unreadable
     )
     owner = {path: number for number, axis in enumerate(axes) for path in axis.parameters}
+    variants = next((number for number, axis in enumerate(axes) if axis.names), None)
     origin = (0,) * len(axes)
     at_origin: set[tuple[str, str]] = set()
     seen: set[tuple[str, str]] = set()
@@ -246,6 +310,8 @@ def _check_scenes(
                 at_origin.add(problem)
             if path in owner:
                 place = located[owner[path]].places[index[owner[path]]]
+            elif variants is not None and index[variants] and path.split(".")[0] in owner:
+                place = located[variants].places[index[variants]]
             elif len(moved) == 1:
                 place = located[moved[0]].places[index[moved[0]]]
             else:
@@ -283,6 +349,8 @@ def _indices(shape: list[int], combine: bool) -> Iterator[tuple[int, ...]]:
 
 def _setting(axis: Axis, k: int) -> str:
     """A point of an axis in words: `stress_yy = 5 MPa`."""
+    if axis.names:
+        return f"{axis.name} = {axis.names[k]}"
     shown = map(describe, axis.values[k], axis.units)
     return f"{axis.name} = {', '.join(shown)}"
 

@@ -143,7 +143,7 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
             parents.append(build(stages[name].product, _load(held, identity)))
         except (MissingError, DamagedError) as error:
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
-    begin = time.perf_counter()
+    begin, cpu = time.perf_counter(), time.process_time()
     meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
     try:
         product = stage.run(*parents, **task.reads)
@@ -159,7 +159,8 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     else:
         status, message = Status.DONE, ""
     seconds = time.perf_counter() - begin
-    meta |= {"seconds": seconds, "machine": platform.machine(), "host": socket.gethostname()}
+    meta |= {"seconds": seconds, "cpu_seconds": time.process_time() - cpu}
+    meta |= {"machine": platform.machine(), "host": socket.gethostname()}
     meta |= {"worker": os.getpid(), "versions": versions()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     if status is not Status.DONE:

@@ -123,6 +123,8 @@ READS = {
     # of the pressures it knows only whether the boundary differs from the start
     "flow": {"region", "bulk_modulus", "well.radius", "times", "solver", "probes", "observe"}
     | {"boundary", "initial"},
+    "reference": {"region", "bulk_modulus", "well.radius", "times", "probes", "observe"}
+    | {"boundary", "initial"},
     "observe": {"region", "well.rate", "well.radius", "times", "boundary", "initial", "observe"},
 }
 

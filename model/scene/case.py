@@ -22,6 +22,7 @@ OBSERVABLES = (
     "boundary_flow",
     "probe_pressure",
     "grain_map",
+    "time_error",
 )
 
 # Traces that one set may have: beyond, its spacing is a slip of the unit.
@@ -74,7 +75,8 @@ class Scene:
         """Whether an output is wanted that needs the pressure field of the wells."""
         return any(
             name in self.observe
-            for name in ("well_pressure", "pressure_map", "boundary_flow", "probe_pressure")
+            for name in OBSERVABLES
+            if name not in ("permeability", "grain_map")
         )
 
     def _mechanical_problems(self) -> list[tuple[str, str]]:

@@ -10,6 +10,7 @@ from string import Template
 import xarray as xr
 
 from sweep.report.html import escape
+from sweep.report.promises import promises
 from sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
 from sweep.study import Study
 
@@ -39,6 +40,7 @@ def write_report(
         title=escape(study.title),
         name=escape(study.name),
         outcome=outcome(dataset),
+        promises=promises(dataset, study),
         axes=axes_table(dataset, study),
         numbers=key_numbers(dataset),
         figures=figures(figure_paths),

@@ -29,7 +29,14 @@ MOST_FAILURES = 50  # listed one by one
 MOST_VALUES = 12  # of an axis, listed one by one
 
 # what a reader should see first of how far to trust the numbers: the worst over all cases
-_WORST = ("mass_balance_error", "residual", "time_error", "unbalanced_ratio", "isolated_domains")
+_WORST = (
+    "mass_balance_error",
+    "residual",
+    "estimated_error",
+    "time_error",
+    "unbalanced_ratio",
+    "isolated_domains",
+)
 _RANGES = ("porosity", "coordination", "grain_count", "domain_count", "matrix_aperture")
 
 

@@ -1,0 +1,53 @@
+"""What each case was asked for, what came out, and whether that was expected."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from model.outcome import Status
+from sweep.analysis.cases import Index, axes, case_title
+from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected, in_words
+from sweep.report.html import grid
+from sweep.study import Study
+
+_NUMBERS = {  # columns of the table, where the dataset has them
+    "time_error": "error in time",
+    "mass_balance_error": "mass balance",
+    "residual": "residual",
+    "solver_time": "solver (s)",
+}
+
+
+def promises(dataset: xr.Dataset, study: Study) -> str:
+    """A table of all cases where the study states how they should end; else nothing."""
+    if not study.promised:
+        return ""
+    columns = [name for name in _NUMBERS if name in dataset]
+    rows: list[tuple[object, ...]] = []
+    met = 0
+    for position in np.ndindex(*dataset["status"].shape):
+        index: Index = dict(zip(axes(dataset), map(int, position), strict=True))
+        case = dataset.isel(index)
+        expected, status = study.expectation(position), Status(int(case["status"]))
+        message = str(case["message"].values)
+        numbers = {name: float(case[name]) for name in {*BOUNDED, *columns} if name in dataset}
+        came_out = "done" if status is Status.DONE else f"{_words(status)}: {message}"
+        good = ends_as_expected(expected, status, message)
+        if good and status is Status.DONE:
+            beyond = beyond_bounds(expected, numbers)
+            came_out, good = "; ".join(["done", *beyond]), not beyond
+        met += good
+        title = case_title(dataset, index) or "the only case"
+        values = [numbers[name] for name in columns]
+        rows.append((title, in_words(expected), came_out, "yes" if good else "NO", *values))
+    head = ("case", "expected", "came out", "as expected", *(_NUMBERS[name] for name in columns))
+    return (
+        "<section><h2>Expected and found</h2>\n"
+        f"<p>{met} of {len(rows)} cases came out as the study says that they should.</p>\n"
+        f"{grid(head, rows)}</section>"
+    )
+
+
+def _words(status: Status) -> str:
+    return status.name.replace("_", " ").lower()
