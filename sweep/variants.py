@@ -19,7 +19,7 @@ from sweep.smoke import overlaid
 from sweep.yaml_source import Mapping, Node, Place, Scalar, Sequence
 
 KEYS = ("variants", "values")
-FIXED = tuple(key for key in BESIDE_SCENE if key not in ("solver", "expect"))
+FIXED = tuple(key for key in BESIDE_SCENE if key not in ("observe", "solver", "expect"))
 
 
 class Variant(NamedTuple):

@@ -15,11 +15,13 @@ from sweep.analysis.cases import Index, axes, case_title
 from sweep.analysis.compare import MapsOf, SceneOf
 from sweep.analysis.linear_flow import compare_linear, linear_tables
 from sweep.analysis.radial_flow import compare_radial, radial_tables
+from sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
 from sweep.analysis.table import Table
 from sweep.cases import case_at
 from sweep.figures.comparisons import draw_linear, draw_radial
 from sweep.figures.maps import draw_maps
 from sweep.figures.permeability import draw_permeability
+from sweep.figures.speed import draw_speed
 from sweep.figures.style import house_style
 from sweep.figures.wells import draw_well
 from sweep.results import open_case
@@ -63,10 +65,13 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
         values = {axis: dataset[axis].values[at].item() for axis, at in index.items()}
         return open_case(results_dir, **values)
 
-    def well_of(index: Index, name: str) -> Well:
-        return next(well for well in scene_of(index).wells if well.name == name)
+    def well_of(index: Index, name: str) -> Well | None:
+        return next((well for well in scene_of(index).wells if well.name == name), None)
 
+    roles = roles_of(study)
     with house_style():
+        if roles is not None and "time_error" in dataset:
+            return [_speed(dataset, study, roles, scene_of, maps_of, folder)]
         drawn: list[Path | None] = []
         if study.figures.compare:
             drawn.append(_compare(dataset, study.figures.compare, scene_of, maps_of, folder))
@@ -75,9 +80,8 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
                 draw_well(dataset, name, well_of, folder / f"well_pressure_{_plain(name)}.png")
                 for name in map(str, dataset["well"].values)
             ]
-        observed = scene_of({axis: 0 for axis in axes(dataset)}).observe
-        if "pressure_map" in observed:
-            for k, index in enumerate(representative_cases(dataset)):
+        for k, index in enumerate(representative_cases(dataset)):
+            if "pressure_map" in scene_of(index).observe:
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()
                 path = folder / f"pressure_map_{k}.png"
                 maps, scene = maps_of(index), scene_of(index)
@@ -107,6 +111,22 @@ def representative_cases(dataset: xr.Dataset) -> list[Index]:
         first = np.argwhere(np.asarray(dataset["status"].values) == Status.DONE)[0]
         done = [dict(zip(axes(dataset), map(int, first), strict=True))]
     return done[:MOST_MAPS]
+
+
+def _speed(
+    dataset: xr.Dataset,
+    study: Study,
+    roles: Roles,
+    scene_of: SceneOf,
+    maps_of: MapsOf,
+    folder: Path,
+) -> Path:
+    """Draw what the solvers of a study cost and how exact they are, with its tables beside it."""
+    path = folder / "speed_vs_error.png"
+    found = speed_against_error(dataset, study, roles, scene_of, maps_of)
+    for what, content in zip(("by_solver", "of_model"), speed_tables(found), strict=True):
+        content.write_csv(folder / f"speed_vs_error_{what}.csv")
+    return draw_speed(found, path)
 
 
 def _compare(

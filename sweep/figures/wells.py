@@ -28,7 +28,7 @@ from sweep.figures.style import (
     time_unit,
 )
 
-WellOf = Callable[[Index, str], Well]
+WellOf = Callable[[Index, str], Well | None]  # None: the case has no such well
 
 _MOST = (5, 3, 3, 2)  # values shown by colour, line style, column of panels, row of panels
 _DECADES = 4.5  # shown below the largest pressure change
@@ -89,7 +89,10 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
         case = dataset.isel(index)
         if int(case["status"]) != Status.DONE:
             continue
-        starts, _ = flow_periods(well_of(index, well).rate_changes)
+        own = well_of(index, well)
+        if own is None:
+            continue
+        starts, _ = flow_periods(own.rate_changes)
         drawn += 1
         for name, colour in (("pressure_change", blues[c]), ("pressure_derivative", reds[c])):
             values = case[name].sel(well=well).values

@@ -1,0 +1,170 @@
+"""Work and precision: the error of every solver against its processor time, scene by scene."""
+
+from __future__ import annotations
+
+import textwrap
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+
+from sweep.analysis.cases import plain_number
+from sweep.analysis.speed import Ladder, SpeedError
+from sweep.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILION, new_figure, save
+
+_COLOURS = {"explicit": VERMILION, "implicit": BLUE, "krylov": BLACK}
+_MARKERS = {"explicit": "s", "implicit": "o", "krylov": "D"}
+_NOTE = """\
+Each line is one solver: its points are its settings, from loose to tight; lower left is \
+better. Strong: {largest} grains; faint: {others}.
+
+The time error is the solver's, against the solution of the same network to 1e-10. The grey \
+line is the model error: how far that network is from the continuum, mean of {packings} \
+packings, band from the best to the worst. Below it a smaller time error buys nothing."""
+
+
+def draw_speed(result: SpeedError, path: Path) -> Path:
+    """One panel a scene, a panel for the model error by size, and how to read them."""
+    shown = result.scenes
+    columns = -(-len(shown) // 2) if len(shown) > 1 else 1
+    rows = 2
+    figure = new_figure(3.55 * (columns + 1), 6.9)
+    panels = figure.subplots(rows, columns + 1, squeeze=False)
+    scenes = [panels[k // columns, k % columns] for k in range(len(shown))]
+    for panel in panels[:, :columns].ravel()[len(shown) :]:
+        panel.axis("off")
+    for panel, scene in zip(scenes, shown, strict=True):
+        _draw_scene(panel, scene, result)
+    for panel in scenes[1:]:
+        panel.sharex(scenes[0])
+        panel.sharey(scenes[0])
+    scenes[0].set(xscale="log", yscale="log")
+    for panel in panels[:, 0]:
+        panel.set_ylabel("time error, relative")
+    for panel in panels[-1, :columns]:
+        panel.set_xlabel("processor time (s)")
+    _draw_model(panels[0, -1], result)
+    _explain(panels[1, -1], result)
+    figure.suptitle("Speed against error of every solver", fontsize=11.5)
+    methods = ", ".join(dict.fromkeys(ladder.method for ladder in result.ladders))
+    caption = (
+        f"Error in time against processor time of {methods} on {_list(shown)}, median over "
+        f"packings, for {_list([f'{n:,}' for n in result.sizes])} grains. The error is that of "
+        "well pressures (where there is no well, of all pore pressures) against the solution of "
+        "the same network to 1e-10; the time includes setting up the equations. Grey: model "
+        "error against the continuum's formula, mean and range over packings."
+    )
+    return save(figure, path, caption)
+
+
+def _draw_scene(panel: Axes, scene: str, result: SpeedError) -> None:
+    largest = max(result.sizes)
+    for ladder in (one for one in result.ladders if one.scene == scene):
+        strong = ladder.grains == largest
+        order = np.argsort(ladder.error)[::-1]
+        panel.plot(
+            ladder.seconds[order],
+            ladder.error[order],
+            color=_COLOURS.get(ladder.method, GREY),
+            marker=_MARKERS.get(ladder.method, "^"),
+            markersize=4.5 if strong else 3,
+            linewidth=1.5 if strong else 0.8,
+            alpha=1.0 if strong else 0.3,
+            zorder=3 if strong else 2,
+        )
+    models = [m for m in result.models if m.scene == scene and m.grains == largest]
+    for model in models:
+        low, mean, high = model.error.min(), model.error.mean(), model.error.max()
+        panel.axhspan(low, high, color=LIGHT_GREY, alpha=0.35, linewidth=0)
+        panel.axhline(mean, color=GREY, linewidth=1.2)
+        panel.annotate(
+            f"model error {100 * mean:.2g} % ({model.formula})",
+            (0.98, high),
+            xycoords=("axes fraction", "data"),
+            xytext=(0, 2),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=7.5,
+            color=GREY,
+        )
+    panel.set_title(scene)
+    refused = [one for one in result.ladders if _refused(one, scene, largest)]
+    for k, ladder in enumerate(refused):
+        text = textwrap.fill(f"{ladder.refusal.split(';')[0]}: refused", 42)
+        panel.text(
+            0.97,
+            0.97 - 0.16 * k,
+            text,
+            transform=panel.transAxes,
+            ha="right",
+            va="top",
+            fontsize=7.5,
+            color=_COLOURS.get(ladder.method, GREY),
+        )
+
+
+def _refused(ladder: Ladder, scene: str, grains: int) -> bool:
+    return ladder.scene == scene and ladder.grains == grains and bool(ladder.refusal)
+
+
+def _draw_model(panel: Axes, result: SpeedError) -> None:
+    """Model error of each packing by size, and the mean."""
+    panel.set_title("model error")
+    scenes = dict.fromkeys(model.scene for model in result.models)
+    if not scenes:
+        panel.axis("off")
+        return
+    for scene, colour in zip(scenes, (GREY, "#009E73", "#CC79A7", BLUE), strict=False):
+        models = [model for model in result.models if model.scene == scene]
+        sizes = [model.grains for model in models]
+        for model in models:
+            here = np.full(len(model.error), model.grains)
+            panel.plot(here, model.error, ".", color=colour, alpha=0.5, markersize=4)
+        name = f"{scene} ({models[0].formula})"
+        mean = [model.error.mean() for model in models]
+        panel.plot(sizes, mean, marker="o", markersize=4.5, color=colour, label=name)
+    panel.set(xscale="log", yscale="log", xlabel="grains", ylabel="against the continuum, relative")
+    panel.set_xticks(result.sizes, [f"{n:,}" for n in result.sizes])
+    panel.minorticks_off()
+    panel.legend(loc="upper right")
+
+
+def _explain(panel: Axes, result: SpeedError) -> None:
+    panel.axis("off")
+    methods = dict.fromkeys(ladder.method for ladder in result.ladders)
+    handles = [
+        Line2D([], [], color=_COLOURS.get(m, GREY), marker=_MARKERS.get(m, "^"), label=m)
+        for m in methods
+    ]
+    panel.legend(handles=handles, loc="upper left", ncols=len(handles), columnspacing=1.0)
+    sizes = sorted(result.sizes)
+    others = _list([f"{n:,}" for n in sizes[:-1]]) or "none"
+    packings = max((len(model.error) for model in result.models), default=1)
+    told = _NOTE.format(largest=f"{sizes[-1]:,}", others=others, packings=packings)
+    lines = [textwrap.fill(part, 46) for part in told.split("\n\n")]
+    lines += [textwrap.fill(text, 46) for text in _gains(result)]
+    panel.text(0.02, 0.84, "\n\n".join(lines), va="top", fontsize=8.5, transform=panel.transAxes)
+
+
+def _gains(result: SpeedError) -> list[str]:
+    """What krylov saves against explicit at its error, scene by scene, in one sentence."""
+    largest, parts = max(result.sizes), []
+    for scene in result.scenes:
+        of = {o.method: o for o in result.ladders if (o.scene, o.grains) == (scene, largest)}
+        if not {"explicit", "krylov"} <= of.keys():
+            continue
+        euler, krylov = of["explicit"], of["krylov"]
+        if not np.isfinite(euler.error).any():
+            continue
+        good = krylov.error <= np.nanmin(euler.error)
+        if good.any():
+            k = int(np.nanargmin(euler.error))
+            ratio = euler.seconds[k] / krylov.seconds[good].min()
+            parts.append(f"{plain_number(ratio, 2)}× ({scene})")
+    return [f"krylov is as exact as explicit's best, faster by {_list(parts)}."] if parts else []
+
+
+def _list(words: list[str] | tuple[str, ...]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), *words[-1:]]))
