@@ -24,9 +24,10 @@ import numpy as np
 from model.quantities import CASE, COORDINATES, MAPS, SWEEP, Quantity
 from model.scene import Scene
 from sweep.cases import Coordinate, coordinates
+from sweep.durable import rename_durably, write_durably
 from sweep.plan import Plan
 from sweep.stages import Status
-from sweep.store import DamagedError, MissingError, Store, rename_durably, write_durably
+from sweep.store import DamagedError, MissingError, Store
 from sweep.study import Study
 from sweep.versions import installed
 

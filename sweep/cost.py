@@ -9,7 +9,8 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from sweep.store import Store, write_durably
+from sweep.durable import write_durably
+from sweep.store import Store
 
 if TYPE_CHECKING:
     from model.stages import Stage

@@ -15,6 +15,7 @@ import numpy as np
 
 from model.parameters import SceneError
 from sweep.cost import Costs
+from sweep.durable import write_durably
 from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
 from sweep.lock import FolderLock, LockedError
 from sweep.plan import Plan, make_plan
@@ -22,7 +23,7 @@ from sweep.progress import Progress
 from sweep.scenes import SceneBuilder
 from sweep.schedule import Schedule
 from sweep.stages import MODEL, Status, stage_table
-from sweep.store import Store, StoreError, write_durably
+from sweep.store import Store, StoreError
 from sweep.study import Study, load_study
 
 if TYPE_CHECKING:

@@ -22,12 +22,14 @@ import json
 import os
 import struct
 from collections.abc import Container, Iterator, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from sweep.durable import write_all_durably, write_durably
 
 MAGIC = b"demflow1"
 _PREFIX = struct.Struct("<8sQ32s")
@@ -272,56 +274,6 @@ def put_aside(path: Path) -> None:
     """Rename a damaged file out of the way; it stays for whoever wants to look."""
     with suppress(FileNotFoundError):
         os.replace(path, path.with_name(path.name + ".damaged"))
-
-
-def write_durably(path: Path, content: bytes) -> None:
-    """Write a file so that, whatever happens, it is there whole or not at all."""
-    write_all_durably({path: content})
-
-
-def write_all_durably(files: Mapping[Path, bytes]) -> None:
-    """Write files so that, whatever happens, each of them is there whole or not at all.
-
-    Together they cost the file system few flushes, where one by one each costs it two.
-    """
-    asides = {path: path.with_name(f"{path.name}.{os.getpid()}.partial") for path in files}
-    try:
-        with ExitStack() as stack:
-            opened = []
-            for path, content in files.items():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                file = stack.enter_context(open(asides[path], "wb"))
-                file.write(content)
-                file.flush()
-                opened.append(file)
-            if len(opened) > 1 and hasattr(os, "posix_fadvise"):
-                for file in opened:  # sets all on their way, so that one flush waits for all
-                    os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
-            for file in opened:
-                os.fsync(file.fileno())
-        for path, aside in asides.items():
-            os.replace(aside, path)
-        for folder in {path.parent for path in files}:
-            _flush_folder(folder)
-    except BaseException:
-        with suppress(OSError):
-            for aside in asides.values():
-                aside.unlink(missing_ok=True)
-        raise
-
-
-def rename_durably(aside: Path, path: Path) -> None:
-    """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
-    os.replace(aside, path)
-    _flush_folder(path.parent)
-
-
-def _flush_folder(path: Path) -> None:
-    folder = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def _header(content: bytes) -> tuple[dict[str, Any], int]:

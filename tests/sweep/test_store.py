@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 
 import numpy as np
@@ -10,7 +11,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sweep import store as store_module
 from sweep.store import (
     MAGIC,
     DamagedError,
@@ -19,7 +19,6 @@ from sweep.store import (
     StoreError,
     pack,
     unpack,
-    write_durably,
 )
 
 ID = "ab" + "0" * 62
@@ -85,7 +84,7 @@ def test_data_only(store):
     # with a header hash that fits, the type alone must refuse it
     length = int.from_bytes(forged[8:16], "little")
     header = forged[48 : 48 + length]
-    forged = forged[:16] + store_module.hashlib.sha256(header).digest() + forged[48:]
+    forged = forged[:16] + hashlib.sha256(header).digest() + forged[48:]
     with pytest.raises(DamagedError, match="no plain data"):
         unpack(forged)
 
@@ -141,25 +140,6 @@ def test_failures_are_remembered_until_they_are_forgotten(store):
     assert store.failure(ID) is None
     store.put_failure(ID, {"status": 1, "message": "and again"})
     assert not store.has(ID)
-
-
-@pytest.mark.parametrize("place", ["fsync", "replace", "open"])
-def test_a_failing_disk_leaves_the_earlier_content(tmp_path, monkeypatch, place):
-    path = tmp_path / "file"
-    write_durably(path, b"before")
-
-    def fail(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    if place == "open":
-        monkeypatch.setattr("builtins.open", fail)
-    else:
-        monkeypatch.setattr(store_module.os, place, fail)
-    with pytest.raises(OSError, match="No space"):
-        write_durably(path, b"after")
-    monkeypatch.undo()
-    assert path.read_bytes() == b"before"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_what_interrupted_writers_left_is_removed(store):

@@ -87,7 +87,7 @@ def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkey
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("sweep.store.os.fsync", fail)
+    monkeypatch.setattr("sweep.durable.os.replace", fail)
     with pytest.raises(OSError, match="No space"):
         run(store, *tasks())
     monkeypatch.undo()

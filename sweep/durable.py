@@ -1,0 +1,133 @@
+"""Writing files so that, whatever happens, each of them is there whole or not at all.
+
+A file is written aside in its folder, flushed, renamed under its final name, and the folder
+is flushed. Many files share their flushes: where the system can flush a file system as a
+whole (`syncfs`, which reports failed writes since Linux 5.8), two such calls serve them all.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import sys
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, suppress
+from functools import cache
+from pathlib import Path
+from typing import IO, Any
+
+FEW = 2  # files that are flushed one by one
+REPORTS_ERRORS = (5, 8)  # Linux whose syncfs tells of failed writes
+FOREIGN_BYTES = 256_000_000  # not yet written by others: a flush of everything would wait for it
+
+
+def write_durably(path: Path, content: bytes) -> None:
+    """Write one file durably. Raises OSError; what was there before stays then."""
+    write_all_durably({path: content})
+
+
+def write_all_durably(files: Mapping[Path, bytes]) -> None:
+    """Write files durably, all of them in two flushes.
+
+    Raises OSError; no half file is left then, and files may be old or new.
+    """
+    asides = {path: path.with_name(f"{path.name}.{os.getpid()}.partial") for path in files}
+    try:
+        with ExitStack() as stack:
+            opened: list[IO[Any]] = []
+            folders: set[Path] = set()
+            for path, content in files.items():
+                folders.update(_made(path.parent))
+                # unbuffered: a full disk is told here, not when the file is closed
+                file = stack.enter_context(open(asides[path], "wb", buffering=0))
+                _write(file, content)
+                opened.append(file)
+            _flush_files(opened)
+            for path, aside in asides.items():
+                os.replace(aside, path)
+            _flush_folders(folders, opened)
+    except BaseException:
+        with suppress(OSError):
+            for aside in asides.values():
+                aside.unlink(missing_ok=True)
+        raise
+
+
+def rename_durably(aside: Path, path: Path) -> None:
+    """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
+    os.replace(aside, path)
+    _flush_folder(path.parent)
+
+
+def _made(folder: Path) -> Iterator[Path]:
+    """Make a folder where it is missing; it, and those that were changed for its sake."""
+    yield folder
+    if not folder.is_dir():
+        yield from _made(folder.parent)
+        folder.mkdir(exist_ok=True)
+
+
+def _write(file: Any, content: bytes) -> None:
+    left = memoryview(content)
+    while left:
+        left = left[file.write(left) :]
+
+
+def _flush_files(opened: list[IO[Any]]) -> None:
+    if len(opened) > FEW and _flush_all(opened[0].fileno()):
+        return
+    if len(opened) > 1 and hasattr(os, "posix_fadvise"):
+        for file in opened:  # sets all on their way, so that one flush waits for all
+            os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
+    for file in opened:
+        os.fsync(file.fileno())
+
+
+def _flush_folders(folders: Collection[Path], opened: list[IO[Any]]) -> None:
+    if len(folders) > FEW and _flush_all(opened[0].fileno()):
+        return
+    for folder in folders:
+        _flush_folder(folder)
+
+
+def _flush_folder(path: Path) -> None:
+    folder = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def _flush_all(descriptor: int) -> bool:
+    """Flush the whole file system of an open file; False where that is not to be had.
+
+    Raises OSError where a write to that file system failed since the file was opened.
+    """
+    flush = _syncfs()
+    if flush is None or _unwritten() > FOREIGN_BYTES:
+        return False
+    if flush(descriptor) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+    return True
+
+
+@cache
+def _syncfs() -> Any:
+    """The system's `syncfs`, None where there is none that can be trusted."""
+    if not sys.platform.startswith("linux"):
+        return None
+    release = os.uname().release.split(".")[:2]
+    if not all(map(str.isdigit, release)) or tuple(map(int, release)) < REPORTS_ERRORS:
+        return None
+    return getattr(ctypes.CDLL(None, use_errno=True), "syncfs", None)
+
+
+def _unwritten() -> int:
+    """Bytes in the memory of this machine that wait to be written to some disk."""
+    try:
+        with open("/proc/meminfo", encoding="ascii") as file:
+            entries = dict(line.split(":", 1) for line in file)
+        return 1024 * sum(int(entries[key].split()[0]) for key in ("Dirty", "Writeback"))
+    except (OSError, LookupError, ValueError):
+        return 0
