@@ -117,6 +117,11 @@ class LocalPool:
     def close(self) -> None:
         """End all processes: those that are busy without waiting for their work."""
         nannies = self._nannies() if hasattr(self, "cluster") else []
+        for nanny in nannies:
+            if nanny.worker_address and nanny.pid:
+                # what it did is stored: it need not take leave, which costs it half a second
+                nanny.close_gracefully()  # and has no successor
+                _kill(nanny.pid)
         closing = threading.Thread(target=self._close_politely, daemon=True)
         closing.start()
         for patience in (1.0, 2.0, 4.0, 8.0):
