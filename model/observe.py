@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from model.flow.solvers import change_times, time_since
-from model.flow.system import WellSite
+from model.flow.wells import WellSite
 from model.products import Responses
-from model.scene import Scene, Well
+from model.scene import InitialField, Scene, Well
 from model.transient import bourdet_derivative, flow_periods, pressure_change
 
 
@@ -18,18 +18,40 @@ class Controls(NamedTuple):
     """How much: the part of a scene that scales responses, in the order of the sources."""
 
     reference: float  # Pa, the pressure from which changes count
-    initial: float  # Pa, of pores that no source reaches; NaN where none is given
+    initial: float  # Pa, of pores that no source reaches; NaN where none is one for all
     side_pressures: tuple[float, ...]  # Pa, of the sides at fixed pressure
     wells: tuple[Well, ...]
     times: tuple[float, ...]  # s
     transient: bool
+    start: str = "uniform"  # or gradient, steady: see `model.flow.solvers.flow`
+    gradient: tuple[float, float] = (0.0, 0.0)  # Pa/m, of a start from a gradient
+
+    @property
+    def fixed_pressures(self) -> tuple[float, ...]:
+        """Pressures of the sides and wells that keep one, in the order of the sources, Pa."""
+        return (*self.side_pressures, *(w.pressure for w in self.wells if w.pressure is not None))
+
+    @property
+    def initial_weights(self) -> tuple[float, ...]:
+        """How much of each unit initial field the start holds."""
+        if self.start == "gradient":
+            return self.gradient
+        if self.start == "steady":
+            return tuple(p - self.reference for p in self.fixed_pressures)
+        return ()
 
 
 def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
     """What the flow stage may know of the wells: all but how much they produce."""
     return tuple(
         WellSite(
-            w.name, w.at, w.radius, w.pressure is not None, tuple(t for t, _ in w.rate_changes)
+            name=w.name,
+            at=w.at,
+            radius=w.effective_radius,
+            fixed_pressure=w.pressure is not None,
+            change_times=tuple(t for t, _ in w.rate_changes),
+            skin=max(w.skin_factor, 0.0),
+            storage=w.wellbore_storage,
         )
         for w in wells
     )
@@ -38,33 +60,41 @@ def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
 def controls(scene: Scene) -> Controls:
     """The controls of a scene."""
     transient = scene.method != "steady"
-    reference = scene.initial_pressure
-    if reference is None or not transient:
-        held = [p for _, p in scene.boundaries]
-        held += [w.pressure for w in scene.wells if w.pressure is not None]
-        reference = held[0] if held else 0.0
+    uniform = scene.uniform_pressure
+    field = scene.initial_pressure
+    held = [p for _, p in scene.boundaries]
+    held += [w.pressure for w in scene.wells if w.pressure is not None]
+    reference = held[0] if held else 0.0
+    gradient = (0.0, 0.0)
+    if transient and uniform is not None:
+        reference = uniform
+    elif transient and isinstance(field, InitialField):
+        reference, gradient = field.at_origin, field.gradient
     return Controls(
         reference,
-        math.nan if scene.initial_pressure is None else scene.initial_pressure,
+        math.nan if uniform is None else uniform,
         tuple(p for _, p in scene.boundaries),
         scene.wells,
         scene.times if transient else (),
         transient,
+        scene.start,
+        gradient,
     )
 
 
 def active_sources(scene: Scene) -> tuple[bool, ...]:
-    """Which sources act at all, in their order: sides, wells at a pressure, wells at a rate."""
+    """Which sources act at all, in their order, as `model.flow.solvers.flow` takes them."""
     told = controls(scene)
-    fixed = [*told.side_pressures, *(w.pressure for w in told.wells if w.pressure is not None)]
     rates = [any(q != 0.0 for _, q in w.rate_changes) for w in told.wells if w.pressure is None]
-    return (*(p != told.reference for p in fixed), *rates)
+    fields = [g != 0.0 for g in told.gradient] if told.start == "gradient" else []
+    return (*(p != told.reference for p in told.fixed_pressures), *rates, *fields)
 
 
 def step_sizes(told: Controls) -> list[list[tuple[float, float]]]:
     """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
-    fixed = [*told.side_pressures, *(w.pressure for w in told.wells if w.pressure is not None)]
-    steps = [[(0.0, pressure - told.reference)] for pressure in fixed]
+    steps = [[(0.0, pressure - told.reference)] for pressure in told.fixed_pressures]
+    if told.start == "steady":  # they have acted for ever
+        steps = [[] for _ in steps]
     for well in told.wells:
         if well.pressure is None:
             rates = [0.0, *(q for _, q in well.rate_changes)]
@@ -92,6 +122,16 @@ def superpose(
     return total
 
 
+def started(
+    fields: np.ndarray, lag: np.ndarray, weights: tuple[float, ...], at: np.ndarray
+) -> np.ndarray | float:
+    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …)."""
+    total: np.ndarray | float = 0.0
+    for field, weight in zip(fields, weights, strict=True):
+        total = total + weight * (field if len(field) == 1 else field[np.searchsorted(lag, at)])
+    return total
+
+
 def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
     """Well pressures and rates, boundary flows, probes and the balance of one case.
 
@@ -100,7 +140,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
     steps = step_sizes(told)
     changes = change_times(sites(told.wells))
     times = np.asarray(told.times) if told.transient else np.array([math.inf])
-    output = superpose(responses.output, responses.lag, steps, times)
+    output = _output(responses, told, steps, times)
     rate_wells = [k for k, w in enumerate(told.wells) if w.pressure is None]
     pressure_wells = [k for k, w in enumerate(told.wells) if w.pressure is not None]
     sides, wells = len(told.side_pressures), len(told.wells)
@@ -134,7 +174,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         for name in ("well_pressure", "well_rate", "boundary_flow", "probe_pressure"):
             found[name] = found[name][:, 0]
         return found
-    at_changes = superpose(responses.output, responses.lag, steps, changes)
+    at_changes = _output(responses, told, steps, changes)
     change = np.full_like(pressure, np.nan)
     derivative = np.full_like(pressure, np.nan)
     for order, k in enumerate(rate_wells):
@@ -154,7 +194,16 @@ def pressure_map(responses: Responses, told: Controls) -> np.ndarray:
     """
     times = np.asarray(told.times) if told.transient else np.array([math.inf])
     change = superpose(responses.pressure, responses.lag, step_sizes(told), times)
+    change += started(responses.initial_pressure, responses.lag, told.initial_weights, times)
     return np.where(responses.reached, told.reference + change, told.initial)
+
+
+def _output(
+    responses: Responses, told: Controls, steps: list[list[tuple[float, float]]], at: np.ndarray
+) -> np.ndarray:
+    """Recorded outputs (t, o): what the start left and what the steps did."""
+    changes = superpose(responses.output, responses.lag, steps, at)
+    return changes + started(responses.initial_output, responses.lag, told.initial_weights, at)
 
 
 def _imbalance(
@@ -172,6 +221,7 @@ def _imbalance(
         moved = np.abs(flows).sum() + np.abs(produced).sum()
         return float(abs(flows.sum() - produced.sum()) / moved) if moved > 0 else 0.0
     volumes = superpose(responses.cumulative, responses.lag, steps, times)
+    volumes += started(responses.initial_cumulative, responses.lag, told.initial_weights, times)
     let_in, stored = volumes[:, :-1], volumes[:, -1]
     produced = np.zeros(len(times))
     moved = np.abs(let_in).sum(axis=1) + np.abs(stored)

@@ -129,6 +129,10 @@ class Responses(NamedTuple):
     work: Array  # () steps or solves
     probe_reached: Array  # (probes,) bool: some source reaches the probe's domain
     isolated: Array  # () domains that no source reaches; they keep the initial pressure
+    # the same of unit initial fields; l = 1 where they stay as they are
+    initial_output: Array  # (fields, l, o)
+    initial_cumulative: Array  # (fields, l, k)
+    initial_pressure: Array  # (fields, l, m)
 
 
 class Permeability(NamedTuple):

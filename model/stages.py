@@ -157,6 +157,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "step": lambda s: s.solver.step,
     "record_map": lambda s: "pressure_map" in s.observe,
     "check_flows": _observes_flows,
+    "initial": lambda s: s.start,
 }
 
 STAGES: tuple[Stage, ...] = (

@@ -1,7 +1,7 @@
 """The grammar of `scene:`, with the forms that are shorter in a file than in the model.
 
-Times by first, last and number per decade; probes along a line; pressures by side. All
-the rest follows from the dataclasses of `model.scene`.
+Times by first, last and number per decade; probes along a line; pressures by side; an initial
+pressure as a number, a field or a word. All the rest follows from the dataclasses of `model.scene`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from model.scene import (
     BiWing,
     Circle,
     FractureSet,
+    InitialField,
     Polygon,
     Probe,
     Rectangle,
@@ -26,7 +27,7 @@ from model.scene import (
 )
 from sweep.blocks import Block, Named, Words, block_of
 from sweep.grammar import NoParameter, Parameter, Reading, Section
-from sweep.yaml_source import Mapping, Node
+from sweep.yaml_source import Mapping, Node, Scalar
 
 MOST_TIMES = 10_000  # output times of a case
 MOST_PROBES = 10_000  # probes on one line
@@ -161,6 +162,40 @@ class ProbeForms(Section):
         yield from (one for one in inner if not one.endswith(".count"))
 
 
+@dataclass(frozen=True)
+class InitialForms(Section):
+    """One pressure everywhere, a linear field, or the word `steady`."""
+
+    number: Parameter
+    field: Block
+    word: str = "steady"
+
+    def read(self, node: Node, path: str, reading: Reading) -> Any:
+        """A pressure, the word, or the values of the field."""
+        if isinstance(node, Scalar) and node.text == self.word:
+            return self.word
+        return self._form(node if isinstance(node, Mapping) else None).read(node, path, reading)
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
+        """What the scene holds."""
+        return self._form(values).build(values, path, problems)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter of the form that is there."""
+        return self._form(values).find(values, parts)
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of the form that is there."""
+        yield from self._form(values).paths(values, path)
+
+    def stand_in(self) -> Any:
+        """Not a number."""
+        return self.number.stand_in()
+
+    def _form(self, values: Any) -> Block | Parameter:
+        return self.field if isinstance(values, Mapping | dict) else self.number
+
+
 def spaced(first: float, last: float, count: int, *, log: bool) -> tuple[float, ...]:
     """Numbers from first to last, rounded so that 1e-5 is met where it is meant."""
     if count == 1:
@@ -176,7 +211,11 @@ def spaced(first: float, last: float, count: int, *, log: bool) -> tuple[float, 
 def _scene() -> Block:
     time = dataclasses.fields(LogTimes)[0]
     pressure = parameter("Pa", help="pressure at this side of the region")
+    initial = next(f for f in dataclasses.fields(Scene) if f.name == "initial_pressure")
     special: dict[str, Section] = {
+        "initial_pressure": InitialForms(
+            Parameter(initial, float, optional=True), block_of(InitialField)
+        ),
         "boundaries": Named(Parameter(pressure, float, optional=False)),
         "probes": Named(ProbeForms(block_of(Probe), block_of(ProbeLine))),
         "times": Times(Parameter(time, tuple[float, ...], optional=False), block_of(LogTimes)),

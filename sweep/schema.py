@@ -14,7 +14,7 @@ from sweep.axes import MAX_CASES
 from sweep.blocks import Block, Named, Variants, Words
 from sweep.expect import EXPECT
 from sweep.grammar import Parameter, Section
-from sweep.scene_grammar import SCENE, ProbeForms, Times
+from sweep.scene_grammar import SCENE, InitialForms, ProbeForms, Times
 from sweep.study import FIGURES, LIMITS, NAME_PATTERN
 from sweep.units import QUANTITY_PATTERN, example
 
@@ -120,6 +120,9 @@ def _schema(section: Section) -> Schema:
         return {"oneOf": [_schema(section.listed), _schema(section.spaced)]}
     if isinstance(section, ProbeForms):
         return {"oneOf": [_schema(section.point), _schema(section.line)]}
+    if isinstance(section, InitialForms):
+        forms = [_schema(section.number), {"const": section.word}, _schema(section.field)]
+        return {"anyOf": forms}
     raise TypeError(f"no schema for {type(section).__name__}")
 
 

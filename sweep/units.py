@@ -130,6 +130,7 @@ _MEANING: dict[str, tuple[str, str]] = {
     "1/s": ("a frequency", "5 1/s"),
     "Pa": ("a pressure", "10 MPa"),
     "1/Pa": ("a compressibility", "1e-9 1/Pa"),
+    "m3/Pa": ("a volume per pressure", "1e-9 m3/Pa"),
     "Pa/m": ("a pressure gradient", "10 kPa/m"),
     "Pa s": ("a viscosity", "1 cP"),
     "N": ("a force", "5 kN"),

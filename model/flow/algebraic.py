@@ -16,7 +16,7 @@ from model.outcome import ModelError
 
 
 class Algebraic(NamedTuple):
-    """The wells at a rate as functions of the pores."""
+    """The wells that store nothing as functions of the unknowns that do."""
 
     inverse: np.ndarray  # (w, w) K_ww⁻¹
     coupling: csr_array  # (w, pores) conductances G_wd > 0
@@ -42,7 +42,7 @@ def algebraic(system: System) -> Algebraic:
 
     Raises `ModelError` where a well has no conducting pipe.
     """
-    wells, pores = len(system.rate_wells), system.pores
+    wells, pores = system.n - system.pores, system.pores
     matrix = np.zeros((wells, wells))
     rows, columns, values = [], [], []
     for i, j in ((system.edge_i, system.edge_j), (system.edge_j, system.edge_i)):

@@ -303,11 +303,11 @@ def _checked_outputs(
     wells_end = problem.records.well_rows
     is_flow[wells_end : wells_end + problem.records.flow_rows] = True
     size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
-    own_well = source - problem.system.fixed_count
-    for kind, is_source in ((is_flow, own_well >= 0), (~is_flow, own_well < 0)):
+    own_well = problem.own_well(source)
+    for kind, is_source in ((is_flow, own_well is not None), (~is_flow, own_well is None)):
         largest = np.max(size[:, kind], initial=1.0 if is_source else 0.0)
         size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
-    if own_well >= 0:
+    if own_well is not None:
         size[:, own_well] = np.abs(output[:, own_well])
     counts = ~is_flow | problem.check_flows
     checked = [(output[:, counts], size[:, counts])]

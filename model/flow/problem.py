@@ -32,6 +32,11 @@ class Problem(NamedTuple):
         """Positions of the sources that act."""
         return [int(k) for k in np.flatnonzero(self.active)]
 
+    def own_well(self, source: int) -> int | None:
+        """Output that is the pressure of the well that the source is; None for other sources."""
+        well = source - self.system.fixed_count
+        return well if 0 <= well < self.records.well_rows else None
+
 
 class Answer(NamedTuple):
     """What a solver found."""

@@ -27,7 +27,7 @@ def outputs(system: System, probe_domains: np.ndarray) -> Records:
     """Set up the outputs of a case; `probe_domains` are the domains in which the probes lie."""
     wells, fixed, probes = len(system.rate_wells), system.fixed_count, len(probe_domains)
     rows = [np.arange(wells), wells + system.fixed_source]
-    columns = [system.pores + np.arange(wells), system.fixed_node]
+    columns = [system.well_node, system.fixed_node]
     values = [np.ones(wells), -system.fixed_g]
     node = system.node_of_domain[probe_domains]
     known = node >= 0

@@ -10,12 +10,15 @@ import numpy as np
 
 from model.flow.explicit import explicit, paper_step
 from model.flow.implicit import implicit
+from model.flow.initial import STARTS, at_rest, decaying, none_at_all, with_linear_fields
 from model.flow.krylov import krylov
 from model.flow.problem import Answer, Problem
 from model.flow.records import outputs
 from model.flow.steady import steady
-from model.flow.system import WellSite, assemble
+from model.flow.system import assemble
+from model.flow.wells import WellSite
 from model.network.domains import domains_at
+from model.outcome import ModelError
 from model.products import Apertures, Network, Responses
 from model.region import Region
 from model.scene import Probe
@@ -83,6 +86,7 @@ def flow(
     record_map: bool,
     step: str = "corrected",
     check_flows: bool = True,
+    initial: str = "uniform",
 ) -> Responses:
     """Responses of the network to a unit step of each source (the *flow* stage).
 
@@ -95,16 +99,20 @@ def flow(
     region, bulk_modulus : parts of the scene; K_f in Pa.
     wells : where the wells are and when they change, not how much.
     sides : names of the sides at fixed pressure.
-    active : for each source (sides, wells at a pressure, wells at a rate), whether it acts.
+    active : for each source (sides, wells at a pressure, wells at a rate, then the gradients
+        along x and y of a start from a gradient), whether it acts.
     probes : points whose pressure is recorded.
     times : output times in s; empty for the steady state.
     method, tolerance, safety_factor, step : of the solver, see `model.scene.Solver`.
     record_map : whether the pressure of every domain is kept.
     check_flows : whether the tolerance holds for boundary flows too, which converge more slowly
         than the pressure of a well.
+    initial : what the transient starts from: one pressure everywhere (`uniform`), a linear
+        field (`gradient`), or the steady state of all fixed pressures (`steady`).
 
     Raises `ModelError` where the solver cannot answer; its text says what to try.
     """
+    _check(bulk_modulus, times, tolerance, safety_factor, method, initial)
     system = assemble(
         network,
         apertures,
@@ -113,6 +121,8 @@ def flow(
         wells=wells,
         sides=sides,
     )
+    if initial == "gradient":
+        system = with_linear_fields(system, network, wells)
     probe_domains = domains_at(network, np.array([p.at for p in probes]).reshape(-1, 2))
     problem = Problem(
         system=system,
@@ -127,7 +137,14 @@ def flow(
         else None,
         check_flows=check_flows,
     )
+    start = none_at_all(problem)
+    if initial == "steady":
+        start = at_rest(problem)
+        moves = np.arange(system.source_count) >= system.fixed_count
+        problem = problem._replace(active=problem.active & moves)
     answer = SOLVERS[method].run(problem)
+    if initial == "gradient":
+        answer, start = decaying(problem, answer)
     return Responses(
         lag=problem.lag,
         output=answer.output,
@@ -140,4 +157,34 @@ def flow(
         work=np.asarray(answer.work),
         probe_reached=system.reached(probe_domains),
         isolated=np.asarray(system.isolated),
+        initial_output=start.output,
+        initial_cumulative=start.cumulative,
+        initial_pressure=start.pressure,
     )
+
+
+def _check(
+    bulk_modulus: float,
+    times: tuple[float, ...],
+    tolerance: float,
+    safety_factor: float,
+    method: str,
+    initial: str,
+) -> None:
+    """Raise `ModelError` for what no solver can be asked, before time is spent."""
+    if method not in SOLVERS:
+        raise ModelError(f"there is no solver {method}, only {', '.join(SOLVERS)}")
+    if initial not in STARTS:
+        raise ModelError(f"there is no start {initial}, only {', '.join(STARTS)}")
+    if not 0.0 < bulk_modulus < math.inf:
+        raise ModelError(f"a bulk modulus of {bulk_modulus} Pa leaves no storage to flow from")
+    if not 0.0 < tolerance < 1.0:
+        raise ModelError(f"a tolerance of {tolerance} bounds nothing; it lies between 0 and 1")
+    if not 0.0 < safety_factor < math.inf:
+        raise ModelError(f"a safety factor of {safety_factor} gives no step")
+    given = np.asarray(times, dtype=float)
+    if not (np.all(np.isfinite(given)) and np.all(np.diff(given, prepend=0.0) > 0.0)):
+        raise ModelError("times are finite and increase, from above zero on")
+    if SOLVERS[method].transient != bool(times):
+        what = "needs times" if SOLVERS[method].transient else "has no times"
+        raise ModelError(f"solver.method {method} {what}")

@@ -1,8 +1,8 @@
 """The flow equation of a case: C dp/dt = −G p + f on pores and wells.
 
 Pores outside the region, inside a well, or reached by no source are not unknowns. A well
-at a given rate is one unknown without storage; sides and wells at a given pressure enter
-through the excess of the rows beside them.
+at a given rate is one unknown, with storage where it has a wellbore storage, else without;
+sides and wells at a given pressure enter through the excess of the rows beside them.
 """
 
 from __future__ import annotations
@@ -11,39 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.flow.wells import WellSite, conducting_pipes, wells_of_domains
 from model.network.connectivity import reached
-from model.network.domains import domains_at
 from model.outcome import ModelError
 from model.products import Apertures, Network
 from model.region import Region
 
-# Peaceman (1978): on a regular grid the pressure of a well block is that at 0.2 of the
-# distance between its neighbours; a pore near the well's centre is taken to stand there.
-EQUIVALENT_RADIUS = 0.2
-
-# A pore may touch the wellbore; its logarithmic distance keeps this part of the pipe's.
-WELL_FLOOR = 0.02
-
-
-class WellSite(NamedTuple):
-    """What the flow stage knows of a well: not its rate."""
-
-    name: str
-    at: tuple[float, float]  # m
-    radius: float  # m
-    fixed_pressure: bool
-    change_times: tuple[float, ...]  # s, when its rate changes
-
 
 class System(NamedTuple):
-    """Unknowns 0 … n − 1: first the active pores, then the wells at a rate.
+    """Unknowns 0 … n − 1: the active pores, the wells at a rate that store, those that do not.
 
-    Sources are the fixed pressures (sides, then wells), then the wells at a rate.
+    Sources are the fixed pressures (sides, then wells), then the wells at a rate, then the
+    unit initial fields.
     """
 
     domain: np.ndarray  # (pores,) the domain of each unknown pore
     n: int  # unknowns
-    storage: np.ndarray  # (n,) C = V / K_f, zero for wells, m³/Pa
+    storage: np.ndarray  # (n,) C = V / K_f, of wells their wellbore storage, m³/Pa
     edge_i: np.ndarray  # (e,)
     edge_j: np.ndarray  # (e,)
     edge_g: np.ndarray  # (e,) m³/(s Pa)
@@ -56,9 +40,11 @@ class System(NamedTuple):
     sides: tuple[str, ...]  # names of the sides at fixed pressure
     pressure_wells: tuple[int, ...]  # positions of the wells at fixed pressure
     rate_wells: tuple[int, ...]  # positions of the wells at a rate
+    well_node: np.ndarray  # (rate wells,) unknown of each
     node_of_domain: np.ndarray  # (d,) unknown of each domain, −1 none
     source_of_domain: np.ndarray  # (d,) fixed source whose pressure a domain has, −1 none
     isolated: int  # pores inside the region that no source reaches
+    initial: np.ndarray  # (fields, n) unit initial fields; none where the start is uniform
 
     @property
     def fixed_count(self) -> int:
@@ -68,12 +54,12 @@ class System(NamedTuple):
     @property
     def source_count(self) -> int:
         """Number of sources."""
-        return self.fixed_count + len(self.rate_wells)
+        return self.fixed_count + len(self.rate_wells) + len(self.initial)
 
     @property
     def pores(self) -> int:
-        """Number of unknown pores."""
-        return len(self.domain)
+        """Number of unknowns that store fluid: pores, and wells with wellbore storage as they."""
+        return self.n - int(np.count_nonzero(self.storage[self.well_node] == 0.0))
 
     @property
     def excess(self) -> np.ndarray:
@@ -85,13 +71,26 @@ class System(NamedTuple):
         return (self.node_of_domain[domains] >= 0) | (self.source_of_domain[domains] >= 0)
 
     def source(self, index: int) -> np.ndarray:
-        """Right-hand side for a unit of one source: 1 Pa, or 1 m³/s produced, (n,)."""
+        """Right-hand side for a unit of one source, (n,): 1 Pa, or 1 m³/s produced.
+
+        That of an initial field u is −G u: what the field moves by itself.
+        """
         if index < self.fixed_count:
             ours = self.fixed_source == index
             return np.bincount(self.fixed_node[ours], weights=self.fixed_g[ours], minlength=self.n)
+        well = index - self.fixed_count
+        if well >= len(self.rate_wells):
+            return self.net_inflow(self.initial[well - len(self.rate_wells)])
         rhs = np.zeros(self.n)
-        rhs[self.pores + index - self.fixed_count] = -1.0
+        rhs[self.well_node[well]] = -1.0
         return rhs
+
+    def net_inflow(self, pressure: np.ndarray) -> np.ndarray:
+        """Flow −G p into each unknown at pressures (n,) with zero at the fixed ones, (n,) m³/s."""
+        flow = self.edge_g * (pressure[self.edge_j] - pressure[self.edge_i])
+        net = np.bincount(self.edge_i, weights=flow, minlength=self.n)
+        net -= np.bincount(self.edge_j, weights=flow, minlength=self.n)
+        return net - self.excess * pressure
 
 
 def assemble(
@@ -106,13 +105,20 @@ def assemble(
     """Set up the flow equation.
 
     `sides` names the sides at fixed pressure (`outer` takes all of them); the others are
-    sealed. A pore in a well shares the well's pressure and stores nothing; a pipe that
-    leaves a well carries g ln(r_j / r_i) / ln(r_j / r_w), which is exact for the
+    sealed. A pore in a well shares the well's pressure and stores nothing of its own; a pipe
+    that leaves a well carries g ln(r_j / r_i) / (ln(r_j / r_w) + S), which is exact for the
     logarithmic profile around it.
+
+    Raises `ModelError` where a conductance or a volume is no number, or negative, or where
+    nothing stores fluid.
     """
+    _check_numbers(network, apertures)
     pressure_wells = tuple(k for k, w in enumerate(wells) if w.fixed_pressure)
     rate_wells = tuple(k for k, w in enumerate(wells) if not w.fixed_pressure)
-    well_of = _wells_of_domains(network, wells)
+    storing = np.array([wells[k].storage for k in rate_wells])
+    last_empty = np.argsort(storing == 0.0, kind="stable")  # wells that store nothing come last
+    order = np.argsort(last_empty)
+    well_of = wells_of_domains(network, wells)
 
     # Everything that flow can reach is a terminal: the pores, then the wells, then the sides.
     d, w = len(network.x), len(wells)
@@ -129,7 +135,7 @@ def assemble(
     domain = np.flatnonzero((terminal == np.arange(d)) & moved[:d])
     number = np.full(len(held), -1)
     number[domain] = np.arange(len(domain))
-    number[[d + k for k in rate_wells]] = len(domain) + np.arange(len(rate_wells))
+    number[[d + k for k in rate_wells]] = len(domain) + order
     free &= (number[a] >= 0) & (number[b] >= 0)
     node_of_domain = np.where(terminal >= 0, number[terminal], -1)
     source_of_domain = np.where(terminal >= 0, held[terminal], -1)
@@ -137,7 +143,7 @@ def assemble(
     return System(
         domain=domain,
         n=len(domain) + len(rate_wells),
-        storage=np.append(apertures.volume[domain] / bulk_modulus, np.zeros(len(rate_wells))),
+        storage=np.append(apertures.volume[domain] / bulk_modulus, storing[last_empty]),
         edge_i=number[a[free]],
         edge_j=number[b[free]],
         edge_g=g[free],
@@ -150,10 +156,29 @@ def assemble(
         sides=sides,
         pressure_wells=pressure_wells,
         rate_wells=rate_wells,
+        well_node=len(domain) + order,
         node_of_domain=node_of_domain,
         source_of_domain=source_of_domain,
         isolated=int(np.count_nonzero(alone)),
+        initial=np.empty((0, len(domain) + len(rate_wells))),
     )
+
+
+def _check_numbers(network: Network, apertures: Apertures) -> None:
+    """Raise where the network could give no flow equation, before time is spent."""
+    for what, values in (
+        ("conductance", apertures.conductance),
+        ("conductance at the rim", apertures.cut_conductance),
+        ("pore volume", apertures.volume),
+    ):
+        wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+        if len(wrong):
+            raise ModelError(
+                f"the {what} of {len(wrong)} of {len(values)} is negative or no finite number, "
+                f"first that of number {wrong[0]}: {values[wrong[0]]}; check apertures and fluid"
+            )
+    if not np.all(apertures.volume[network.inside] > 0.0):
+        raise ModelError("a pore of the region has no volume, so that nothing stores fluid there")
 
 
 def _connections(
@@ -169,53 +194,12 @@ def _connections(
     side_source = _sources_of_sides(region, sides)
     rim = side_source[network.cut_side]
     at_side = (rim >= 0) & (apertures.cut_conductance > 0.0)
-    i, j, g = _pipes(network, apertures, wells, well_of)
+    i, j, g = conducting_pipes(network, apertures, wells, well_of)
     k, m, around = _around_sealed_sides(network, apertures, rim < 0)
     a = np.concatenate([terminal[i], terminal[k], terminal[network.cut_inside[at_side]]])
     b = np.concatenate([terminal[j], terminal[m], len(network.x) + len(wells) + rim[at_side]])
     g = np.concatenate([g, around, apertures.cut_conductance[at_side]])
     return a[a != b], b[a != b], g[a != b]
-
-
-def _wells_of_domains(network: Network, wells: tuple[WellSite, ...]) -> np.ndarray:
-    """The well in which each domain lies, −1 outside of all."""
-    well_of = np.full(len(network.x), -1)
-    for k, well in enumerate(wells):
-        distance = np.hypot(network.x - well.at[0], network.y - well.at[1])
-        within = (distance < well.radius) & network.inside
-        if not within.any():
-            within = np.zeros(len(network.x), dtype=bool)
-            within[domains_at(network, np.array([well.at]))] = True
-        shared = well_of[within & (well_of >= 0)]
-        if len(shared):
-            raise ModelError(
-                f"wells {wells[shared[0]].name} and {well.name} lie in one pore; move them apart, "
-                "or raise grains.count"
-            )
-        well_of[within] = k
-    return well_of
-
-
-def _pipes(
-    network: Network, apertures: Apertures, wells: tuple[WellSite, ...], well_of: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Conducting pipes between domains inside the region, placed at the wells' walls."""
-    i, j = network.pipe_from, network.pipe_to
-    conducts = network.inside[i] & network.inside[j] & (apertures.conductance > 0.0)
-    pipe = np.flatnonzero(conducts)
-    i, j, g = i[pipe], j[pipe], apertures.conductance[pipe].copy()
-    for k, well in enumerate(wells):
-        for inner, outer, place_outer in (
-            (i, j, apertures.pipe_trace_to[pipe]),
-            (j, i, apertures.pipe_trace_from[pipe]),
-        ):
-            leaves = np.flatnonzero((well_of[inner] == k) & (well_of[outer] < 0))
-            on_trace = ~np.isnan(place_outer[leaves])
-            ours = leaves[~on_trace]
-            g[ours] *= _well_factor(network, well, inner[ours], outer[ours])
-            ours = leaves[on_trace]
-            g[ours] = _trace_at_well(apertures, well, pipe[ours], place_outer[ours], g[ours])
-    return i, j, g
 
 
 def _around_sealed_sides(
@@ -246,43 +230,6 @@ def _around_sealed_sides(
         pairs.append(np.column_stack([first_of, first_of + step]))
     k, m = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]).T
     return inner[k], inner[m], conductance[k] * conductance[m] / total[k]
-
-
-def _well_factor(
-    network: Network, well: WellSite, inner: np.ndarray, outer: np.ndarray
-) -> np.ndarray:
-    """Logarithmic correction ln(r_j / r_i) / ln(r_j / r_w) of pipes that leave a well."""
-    x0, y0 = well.at
-    r_in = np.hypot(network.x[inner] - x0, network.y[inner] - y0)
-    r_out = np.hypot(network.x[outer] - x0, network.y[outer] - y0)
-    between = np.hypot(network.x[inner] - network.x[outer], network.y[inner] - network.y[outer])
-    r_in = np.maximum(r_in, EQUIVALENT_RADIUS * between)
-    whole = np.log(np.maximum(r_out, 1.001 * r_in) / r_in)
-    return whole / np.maximum(np.log(r_out / well.radius), WELL_FLOOR * whole)
-
-
-def _trace_at_well(
-    apertures: Apertures,
-    well: WellSite,
-    pipe: np.ndarray,
-    place: np.ndarray,
-    conductance: np.ndarray,
-) -> np.ndarray:
-    """Conductance T / (distance along the trace from the well's wall) of calibrated pipes."""
-    result = conductance.copy()
-    for k, p in enumerate(pipe):
-        trace = apertures.on_fracture[p]
-        start, end = apertures.trace_start[trace], apertures.trace_end[trace]
-        along = (end - start) / np.hypot(*(end - start))
-        offset = start - np.asarray(well.at)
-        half = offset @ along
-        square = half * half - offset @ offset + well.radius**2
-        if square <= 0.0:
-            continue
-        whole = abs(apertures.pipe_trace_to[p] - apertures.pipe_trace_from[p])
-        distance = max(abs(place[k] + half) - np.sqrt(square), WELL_FLOOR * whole)
-        result[k] = apertures.trace_transmissivity[trace] / distance
-    return result
 
 
 def _sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:

@@ -9,7 +9,7 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 from model.parameters import SceneError
 from model.region import Circle, Polygon, Rectangle, Region
 from model.scene.case import OBSERVABLES, Scene
-from model.scene.flow import Fluid, Matrix, Probe, Solver, Well
+from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet, Trace
 from model.scene.lines import Line, lines_of
 from model.scene.rock import Bonds, Grains, Stress
@@ -23,6 +23,7 @@ __all__ = [
     "Fracture",
     "FractureSet",
     "Grains",
+    "InitialField",
     "Line",
     "Matrix",
     "Polygon",

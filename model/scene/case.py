@@ -9,7 +9,7 @@ import numpy as np
 
 from model.parameters import SceneError, check_fields, parameter
 from model.region import Region, clip_segment, contains, distance_to_rim
-from model.scene.flow import Fluid, Matrix, Probe, Solver, Well
+from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet
 from model.scene.rock import Bonds, Grains, Stress
 
@@ -47,8 +47,11 @@ class Scene:
     wells: tuple[Well, ...] = ()
     boundaries: tuple[tuple[str, float], ...] = ()
     probes: tuple[Probe, ...] = ()
-    initial_pressure: float | None = parameter(
-        "Pa", default=None, help="pressure everywhere at time zero"
+    initial_pressure: float | InitialField | str | None = parameter(
+        "Pa",
+        default=None,
+        help="pressure at time zero: one everywhere, a linear field, or steady: the steady state "
+        "of all that keeps its pressure",
     )
     times: tuple[float, ...] = ()
     solver: Solver = Solver()
@@ -69,6 +72,19 @@ class Scene:
         if self.solver.method != "auto":
             return self.solver.method
         return "krylov" if self.times else "steady"
+
+    @property
+    def start(self) -> str:
+        """What a transient starts from: `uniform`, `gradient` or `steady`."""
+        if isinstance(self.initial_pressure, InitialField):
+            return "gradient"
+        return "steady" if isinstance(self.initial_pressure, str) else "uniform"
+
+    @property
+    def uniform_pressure(self) -> float | None:
+        """The initial pressure where it is one everywhere, Pa; else None."""
+        given = self.initial_pressure
+        return None if isinstance(given, InitialField | str) else given
 
     @property
     def flows(self) -> bool:
@@ -99,9 +115,13 @@ class Scene:
             at = np.array([well.at])
             if not contains(self.region, at)[0]:
                 problems.append((f"wells.{well.name}.at", "the well lies outside the region"))
-            elif (room := distance_to_rim(self.region, at)[0]) < well.radius:
+            elif (room := distance_to_rim(self.region, at)[0]) < well.effective_radius:
+                stimulated = well.radius <= room
                 what = f"the well reaches beyond the rim, which is {room:.3g} m away"
-                problems.append((f"wells.{well.name}.radius", what))
+                if stimulated:
+                    what = f"with the radius r_w e^(−S) = {well.effective_radius:.3g} m {what}"
+                key = "skin_factor" if stimulated else "radius"
+                problems.append((f"wells.{well.name}.{key}", what))
         for fracture in self.fractures:
             if isinstance(fracture, FractureSet):
                 gap = fracture.spacing if fracture.gap is None else fracture.gap
@@ -115,7 +135,7 @@ class Scene:
                 problems.append((f"fractures.{fracture.name}.{key}", what))
         for i, a in enumerate(self.wells):
             for b in self.wells[:i]:
-                if math.dist(a.at, b.at) < a.radius + b.radius:
+                if math.dist(a.at, b.at) < a.effective_radius + b.effective_radius:
                     problems.append((f"wells.{a.name}.at", f"the well overlaps {b.name}"))
         within = contains(self.region, np.array([p.at for p in self.probes]).reshape(-1, 2))
         for probe, is_within in zip(self.probes, within, strict=True):
@@ -168,6 +188,8 @@ class Scene:
             problems.append(("times", f"solver.method {self.method} needs times"))
         if transient and self.initial_pressure is None:
             problems.append(("initial_pressure", "a transient starts from a pressure; give it"))
+        if self.start != "uniform":
+            problems += self._start_problems(transient)
         if self.flows and self.method == "steady" and self.times:
             what = "a steady state has no times; leave them out, or choose another solver.method"
             problems.append(("times", what))
@@ -182,3 +204,17 @@ class Scene:
                         (f"wells.{well.name}.schedule", "a schedule has no steady state")
                     )
         return problems
+
+    def _start_problems(self, transient: bool) -> list[tuple[str, str]]:
+        """What is wrong with a start that is not one pressure everywhere."""
+        what = ""
+        if self.flows and not transient:
+            what = "a steady state starts from nothing; give one pressure, or leave it out"
+        elif self.start == "steady" and self.initial_pressure != "steady":
+            what = f"{self.initial_pressure!r} is neither a pressure nor steady"
+        elif self.start == "steady":
+            if not self.boundaries and all(w.pressure is None for w in self.wells):
+                what = "without a fixed pressure anywhere there is no steady state to start from"
+            elif self.flows and all(w.pressure is not None for w in self.wells):
+                what = "from the steady state nothing changes; give a well at a rate, or no times"
+        return [("initial_pressure", what)] if what else []

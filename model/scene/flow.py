@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from model.parameters import SceneError, check_fields, parameter
 
-__all__ = ["Fluid", "Matrix", "Probe", "Solver", "Well"]
+__all__ = ["Fluid", "InitialField", "Matrix", "Probe", "Solver", "Well"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,10 @@ class Well:
     """A well of finite radius at a rate, a pressure or a schedule of rates.
 
     All pores whose centroid lies within the radius share the well's pressure; a well
-    narrower than the pores stands in the nearest one (Peaceman's equivalent radius).
+    narrower than the pores stands in the nearest one (Peaceman's equivalent radius). A skin S
+    adds q μ S / (2π k) to the fall of its pressure; a negative one acts as a well of radius
+    r_w e^(−S). With a wellbore storage C the rate is that at the surface, of which C dp/dt comes
+    from the wellbore.
     """
 
     name: str
@@ -69,6 +72,12 @@ class Well:
     schedule: tuple[tuple[float, float], ...] | None = parameter(
         "s, m3/s", default=None, help="rate changes [[time, rate], …]; rate 0 shuts the well in"
     )
+    skin_factor: float = parameter(
+        default=0.0, help="skin S; above 0 damaged rock around the well, below 0 stimulated"
+    )
+    wellbore_storage: float = parameter(
+        "m3/Pa", default=0.0, at_least=0, help="volume that the wellbore gives per pressure fall"
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -76,6 +85,9 @@ class Well:
         if len(given) != 1:
             where = given[0] if given else ""
             raise SceneError([(where, "give exactly one of rate, pressure, schedule")])
+        if self.pressure is not None and self.wellbore_storage > 0.0:
+            what = "a well at constant pressure takes nothing from its wellbore; leave it out"
+            raise SceneError([("wellbore_storage", what)])
         if self.schedule is not None:
             starts = [t for t, _ in self.schedule]
             if not starts:
@@ -84,6 +96,11 @@ class Well:
                 raise SceneError([("schedule", "times and rates must be finite")])
             if starts[0] < 0 or any(b <= a for a, b in zip(starts, starts[1:], strict=False)):
                 raise SceneError([("schedule", "times must increase, from 0 s on")])
+
+    @property
+    def effective_radius(self) -> float:
+        """Radius of the well without skin that acts as a stimulated well does, r_w e^(−S), m."""
+        return self.radius * math.exp(max(0.0, -self.skin_factor))
 
     @property
     def rate_changes(self) -> tuple[tuple[float, float], ...]:
@@ -102,6 +119,24 @@ class Probe:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+@dataclass(frozen=True, slots=True)
+class InitialField:
+    """A pressure at one point that changes along a line: p + g · (x − x₀)."""
+
+    pressure: float = parameter("Pa", help="initial pressure at that point")
+    gradient: tuple[float, float] = parameter("Pa/m", help="rise of the pressure along x and y")
+    at: tuple[float, float] = parameter("m", default=(0.0, 0.0), help="the point")
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    @property
+    def at_origin(self) -> float:
+        """Pressure at (0, 0), Pa."""
+        (gx, gy), (x, y) = self.gradient, self.at
+        return self.pressure - gx * x - gy * y
 
 
 @dataclass(frozen=True, slots=True)

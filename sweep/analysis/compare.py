@@ -33,8 +33,8 @@ def comparison_problem(scene: Scene, kind: str) -> str | None:
         return f"{kind!r} is none of linear, radial"
     if scene.fractures:
         return "the formula knows no fractures"
-    if scene.initial_pressure is None or not scene.times:
-        return "the formula needs initial_pressure and times"
+    if scene.uniform_pressure is None or not scene.times:
+        return "the formula needs one initial_pressure everywhere, and times"
     return _linear_problem(scene) if kind == "linear" else _radial_problem(scene)
 
 

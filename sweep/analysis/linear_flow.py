@@ -91,7 +91,7 @@ def compare_linear(dataset: xr.Dataset, scene_of: SceneOf, maps_of: MapsOf) -> L
         case, maps = dataset.isel(index), maps_of(index)
         times = np.array(scene.times)
         sample = _sample(scene, maps)
-        initial = float(scene.initial_pressure)  # type: ignore[arg-type]
+        initial = float(scene.uniform_pressure)  # type: ignore[arg-type]
         phi, k, fluid = float(case["porosity"]), compared_permeability(scene, case), scene.fluid
         diffusivity = k * fluid.bulk_modulus / (phi * fluid.viscosity)
         formula = linear_pressure(

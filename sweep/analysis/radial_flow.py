@@ -84,7 +84,7 @@ def compare_radial(
         case, well, fluid = dataset.isel(index), scene.wells[0], scene.fluid
         times = np.array(scene.times)
         phi, k = float(case["porosity"]), compared_permeability(scene, case)
-        initial, rate = float(scene.initial_pressure), float(well.rate)  # type: ignore[arg-type]
+        initial, rate = float(scene.uniform_pressure), float(well.rate)  # type: ignore[arg-type]
         fall = float(thiem_pressure_fall(rate, fluid.viscosity, k, 1.0, R_De))
         t_D = k * fluid.bulk_modulus * times / (phi * fluid.viscosity * well.radius**2)
         pressure = case["well_pressure"].sel(well=well.name, elapsed_time=times).values

@@ -79,7 +79,7 @@ def colour_limits(values: np.ndarray) -> tuple[float, float]:
 
 def _readable(pressure: np.ndarray, scene: Scene) -> tuple[np.ndarray, float, str]:
     """What to colour, its factor and label: the pressure, or its change where that is small."""
-    initial = scene.initial_pressure
+    initial = scene.uniform_pressure
     if initial is None or np.nanmax(np.abs(pressure - initial)) > SMALL_CHANGE * abs(initial):
         return pressure, *label("pressure", pressure)
     change = pressure - initial

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.flow.solvers import SOLVERS
-from model.flow.system import WELL_FLOOR
+from model.flow.wells import WELL_FLOOR
 from model.observe import sites
 from model.outcome import ModelError
 from model.permeability import permeability
