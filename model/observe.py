@@ -225,6 +225,7 @@ def _imbalance(
     let_in, stored = volumes[:, :-1], volumes[:, -1]
     produced = np.zeros(len(times))
     moved = np.abs(let_in).sum(axis=1) + np.abs(stored)
+    moved += np.abs(told.initial_weights) @ responses.initial_volume
     for source_steps in steps[len(told.side_pressures) + fixed_wells :]:
         for time, size in source_steps:
             volume = size * np.maximum(times - time, 0.0)

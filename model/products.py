@@ -133,6 +133,7 @@ class Responses(NamedTuple):
     initial_output: Array  # (fields, l, o)
     initial_cumulative: Array  # (fields, l, k)
     initial_pressure: Array  # (fields, l, m)
+    initial_volume: Array  # (fields,) m³ that lie on the wrong side of the mean, per unit
 
 
 class Permeability(NamedTuple):

@@ -7,6 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+Transform = Callable[[np.ndarray], np.ndarray]
+
 NODES = 24  # 3.89⁻²⁴ = 7e-15: what double precision can hold
 
 
@@ -25,7 +27,7 @@ def _contour(nodes: int) -> tuple[np.ndarray, np.ndarray]:
     return z, 2.0 / (1j * nodes) * np.exp(z) * slope
 
 
-def invert(transform: Callable[[np.ndarray], np.ndarray], time: ArrayLike) -> np.ndarray:
+def invert(transform: Transform, time: ArrayLike) -> np.ndarray:
     """Value at each time of a function given by its Laplace transform.
 
     f(t) = 1/(2πi) ∫ e^{st} F(s) ds on Talbot's contour, by the midpoint rule. For

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.special import exp1, ive, j0, j1, y0, y1
 
-from model.analytic.laplace import invert
+from model.analytic.laplace import Transform, invert
 
 # In units of (R_De − 1)². From the first on, Eq. 29 needs no more than 32 terms (the next is
 # below e^(−31.5² π² 0.01) = 1e-42); up to the second the boundary is not felt at all (what
@@ -113,12 +113,17 @@ def _bounded_late(radius: np.ndarray, time: np.ndarray, R_De: float) -> np.ndarr
 
 
 def _bounded_early(radius: np.ndarray, time: np.ndarray, R_De: float) -> np.ndarray:
-    """Eq. 82 with its conditions 83–85 in Laplace space, q = √s, E = R_De.
+    return invert(bounded_transform(radius[..., None], R_De), time) / np.log(R_De)
 
-    s^{3/2} ΔP̄ = (I0(qE) K0(qR) − K0(qE) I0(qR)) / (I1(q) K0(qE) + K1(q) I0(qE)), written
+
+def bounded_transform(R: ArrayLike, R_De: float) -> Transform:
+    """p̄_D(s) around a well at constant rate, the pressure kept at R_De, in units of q μ / (2π k).
+
+    Eq. 82 with its conditions 83–85 in Laplace space, q = √s, E = R_De:
+    s^{3/2} p̄_D = (I0(qE) K0(qR) − K0(qE) I0(qR)) / (I1(q) K0(qE) + K1(q) I0(qE)), written
     with scaled Bessel functions so that large arguments neither overflow nor vanish.
     """
-    R = radius[..., None]
+    R = np.asarray(R, dtype=float)
 
     def transform(s: np.ndarray) -> np.ndarray:
         q = np.sqrt(s)
@@ -131,13 +136,27 @@ def _bounded_early(radius: np.ndarray, time: np.ndarray, R_De: float) -> np.ndar
         at_well = at_well + ive(1, q) * _kve(0, q * R_De) * far_image
         return (direct - reflected) / (at_well * s * q)
 
-    return invert(transform, time) / np.log(R_De)
+    return transform
+
+
+def unbounded_transform(R: ArrayLike) -> Transform:
+    """p̄_D(s) = K0(R √s) / (s^{3/2} K1(√s)) around a well at constant rate, no boundary.
+
+    van Everdingen & Hurst (1949), Trans. AIME 186.
+    """
+    R = np.asarray(R, dtype=float)
+
+    def transform(s: np.ndarray) -> np.ndarray:
+        q = np.sqrt(s)
+        return _kve(0, q * R) * np.exp(-q * (R - 1.0)) / (s * q * _kve(1, q))
+
+    return transform
 
 
 def finite_radius_well(R_D: ArrayLike, t_D: ArrayLike) -> np.ndarray:
     """Pressure fall around a well of finite radius in an unbounded reservoir.
 
-    p̄_D = K0(R_D √s) / (s^{3/2} K1(√s)): van Everdingen & Hurst (1949), Trans. AIME 186.
+    By inversion of `unbounded_transform`.
 
     Parameters
     ----------
@@ -155,13 +174,7 @@ def finite_radius_well(R_D: ArrayLike, t_D: ArrayLike) -> np.ndarray:
     radius, time = np.broadcast_arrays(np.asarray(R_D, dtype=float), np.asarray(t_D, dtype=float))
     if not np.all(radius >= 1):
         raise ValueError("R_D must be at least 1")
-    R = radius[..., None]
-
-    def transform(s: np.ndarray) -> np.ndarray:
-        q = np.sqrt(s)
-        return _kve(0, q * R) * np.exp(-q * (R - 1.0)) / (s * q * _kve(1, q))
-
-    return invert(transform, time)
+    return invert(unbounded_transform(radius[..., None]), time)
 
 
 def line_source(R_D: ArrayLike, t_D: ArrayLike) -> np.ndarray:

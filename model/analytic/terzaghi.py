@@ -38,3 +38,15 @@ def consolidation_degree(T_v: ArrayLike) -> np.ndarray:
     M = (2.0 * np.arange(24) + 1.0) * np.pi / 2.0
     left = np.sum(2.0 / M**2 * np.exp(-(M**2) * time[..., None]), axis=-1)
     return np.where(time < 0.02, 2.0 * np.sqrt(time / np.pi), 1.0 - left)
+
+
+def drainage_rate(T_v: ArrayLike) -> np.ndarray:
+    """Flow out of the layer, dU/dT_v = 2 Σ exp(−M² T_v), M = (2m + 1)π/2; T_v above zero.
+
+    For unit area q = (k u0 / (μ H)) dU/dT_v. Early it is 1/√(π T_v): with the images,
+    1/√(πT_v) (1 + 2 Σ (−1)ⁿ e^(−n²/T_v)), whose first term suffices below T_v = 0.02.
+    """
+    time = np.asarray(T_v, dtype=float)
+    M = (2.0 * np.arange(24) + 1.0) * np.pi / 2.0
+    late = 2.0 * np.sum(np.exp(-(M**2) * time[..., None]), axis=-1)
+    return np.where(time < 0.02, 1.0 / np.sqrt(np.pi * time), late)

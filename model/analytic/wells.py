@@ -1,4 +1,4 @@
-"""Wells after the transient: the steady state and the pseudo-steady state."""
+"""Wells after the transient: steady states, pseudo-steady state, inflow into a tunnel."""
 
 from __future__ import annotations
 
@@ -45,3 +45,51 @@ def closed_circle_pseudo_steady(R_D: ArrayLike, t_D: ArrayLike, R_De: float) -> 
     E2 = R_De**2
     constant = (3.0 * E2**2 - 4.0 * E2**2 * math.log(R_De) - 2.0 * E2 - 1.0) / (4.0 * (E2 - 1.0))
     return (2.0 * (0.25 * R**2 + t) - E2 * np.log(R) - constant) / (E2 - 1.0)
+
+
+def tunnel_inflow(
+    overpressure: float, viscosity: float, permeability: float, depth: float, radius: float
+) -> float:
+    """Steady inflow into a tunnel below a level of constant potential, m³/s for unit length.
+
+    q = 2π k Δp / (μ ln(2h / r)): Goodman, Moye, van Schalkwyk & Javandel (1965), Bull. Ass. Eng.
+    Geol. 2, 39–56. The tunnel is far below the level (h ≫ r), the rock below reaches without
+    end, and the pressures are potentials p + ρ g z: a water table at the surface and a drained
+    wall. At any h > r, with one potential along the wall, ln(2h/r) is arcosh(h/r).
+
+    Parameters
+    ----------
+    overpressure : fall of the potential from the level to the tunnel, ρ g H, Pa.
+    viscosity, permeability : Pa s, m².
+    depth, radius : of the axis below the level, of the tunnel, m.
+    """
+    return (
+        2.0 * math.pi * permeability * overpressure / (viscosity * math.log(2.0 * depth / radius))
+    )
+
+
+def doublet_pressure_fall(
+    rate: float,
+    viscosity: float,
+    permeability: float,
+    *,
+    offset: float,
+    radius: float,
+    outer_radius: float,
+) -> float:
+    """Steady pressure fall at the producer of two wells at ±a in a circle of constant pressure, Pa.
+
+    P_e − P_w = q μ / (2π k) [ln((R² − a²) / (R r_w)) − ln((R² + a²) / (2 a R))], and as much
+    rise at the injector, which takes the same rate in: images of the wells in the rim (Carslaw
+    & Jaeger 1959). For R ≫ a it is q μ ln(2a / r_w) / (2π k).
+
+    Parameters
+    ----------
+    rate, viscosity, permeability : q in m³/s for unit depth, Pa s, m².
+    offset : a, distance of each well from the middle, m.
+    radius, outer_radius : r_w ≪ a and R, m.
+    """
+    a, R = offset, outer_radius
+    own = math.log((R * R - a * a) / (R * radius))
+    other = math.log((R * R + a * a) / (2.0 * a * R))
+    return rate * viscosity * (own - other) / (2.0 * math.pi * permeability)

@@ -277,9 +277,7 @@ class _Gauge:
         self.rows = records.rows[flows]
         self.direct = records.direct[source][flows]
         self.check_flows = problem.check_flows
-        own_rate = problem.own_well(source) is not None
-        self.least_pressure = 0.0 if own_rate else 1.0
-        self.least_flow = 1.0 if own_rate else 0.0
+        self.least_pressure, self.least_flow = problem.own_size(source)
         self.seen = np.zeros(len(self.direct))
 
     def accept(self, pressure: np.ndarray, time: float) -> None:

@@ -28,6 +28,7 @@ class Initial(NamedTuple):
     output: np.ndarray  # (fields, l, o)
     cumulative: np.ndarray  # (fields, l, fixed + 1)
     pressure: np.ndarray  # (fields, l, m)
+    volume: np.ndarray  # (fields,) m³ stored above the mean or lacking below it
 
 
 def with_linear_fields(system: System, network: Network, wells: tuple[WellSite, ...]) -> System:
@@ -56,7 +57,9 @@ def decaying(problem: Problem, answer: Answer) -> tuple[Answer, Initial]:
         cumulative=answer.cumulative[:first],
         pressure=answer.pressure[:first],
     )
-    return rest, Initial(output, cumulative, pressure)
+    mean = system.initial @ system.storage / system.storage.sum()
+    volume = np.abs(system.initial - mean[:, None]) @ system.storage
+    return rest, Initial(output, cumulative, pressure, volume)
 
 
 def at_rest(problem: Problem) -> Initial:
@@ -74,7 +77,12 @@ def at_rest(problem: Problem) -> Initial:
     found = steady(problem._replace(lag=np.array([math.inf]), active=problem.active & fixed))
     held = slice(0, system.fixed_count)
     # flows at rest let in as much as they let out
-    return Initial(found.output[held], np.zeros_like(found.cumulative[held]), found.pressure[held])
+    return Initial(
+        output=found.output[held],
+        cumulative=np.zeros_like(found.cumulative[held]),
+        pressure=found.pressure[held],
+        volume=np.zeros(system.fixed_count),
+    )
 
 
 def none_at_all(problem: Problem) -> Initial:
@@ -84,4 +92,5 @@ def none_at_all(problem: Problem) -> Initial:
         np.zeros((0, 1, records.rows.shape[0])),
         np.zeros((0, 1, records.flow_rows + 1)),
         np.zeros((0, 1, len(problem.domain))),
+        np.zeros(0),
     )

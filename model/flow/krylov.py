@@ -304,8 +304,9 @@ def _checked_outputs(
     is_flow[wells_end : wells_end + problem.records.flow_rows] = True
     size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
     own_well = problem.own_well(source)
-    for kind, is_source in ((is_flow, own_well is not None), (~is_flow, own_well is None)):
-        largest = np.max(size[:, kind], initial=1.0 if is_source else 0.0)
+    own_pressure, own_flow = problem.own_size(source)
+    for kind, own in ((is_flow, own_flow), (~is_flow, own_pressure)):
+        largest = np.max(size[:, kind], initial=own)
         size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
     if own_well is not None:
         size[:, own_well] = np.abs(output[:, own_well])

@@ -37,6 +37,17 @@ class Problem(NamedTuple):
         well = source - self.system.fixed_count
         return well if 0 <= well < self.records.well_rows else None
 
+    def own_size(self, source: int) -> tuple[float, float]:
+        """Pressure (Pa) and flow (m³/s) that a unit of the source is by itself."""
+        system = self.system
+        if source < system.fixed_count:
+            return 1.0, 0.0
+        if self.own_well(source) is not None:
+            return 0.0, 1.0
+        field = np.abs(system.initial[source - system.fixed_count - len(system.rate_wells)])
+        out = np.bincount(system.fixed_source, weights=system.fixed_g * field[system.fixed_node])
+        return float(field.max(initial=0.0)), float(out.max(initial=0.0))
+
 
 class Answer(NamedTuple):
     """What a solver found."""

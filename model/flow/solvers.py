@@ -160,6 +160,7 @@ def flow(
         initial_output=start.output,
         initial_cumulative=start.cumulative,
         initial_pressure=start.pressure,
+        initial_volume=start.volume,
     )
 
 

@@ -11,7 +11,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.flow.wells import WellSite, conducting_pipes, wells_of_domains
+from model.flow.wells import (
+    WellSite,
+    conducting_pipes,
+    radial_conductance,
+    wells_of_domains,
+    with_skin,
+)
 from model.network.connectivity import reached
 from model.outcome import ModelError
 from model.products import Apertures, Network
@@ -106,8 +112,10 @@ def assemble(
 
     `sides` names the sides at fixed pressure (`outer` takes all of them); the others are
     sealed. A pore in a well shares the well's pressure and stores nothing of its own; a pipe
-    that leaves a well carries g ln(r_j / r_i) / (ln(r_j / r_w) + S), which is exact for the
-    logarithmic profile around it.
+    that leaves a well carries g ln(r_j / r_i) / ln(r_j / r_w), which is exact for the
+    logarithmic profile around it. A skin S adds q μ S / (2π k) to the fall of the well's
+    pressure (van Everdingen 1953, Trans. AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J.
+    10, 279–290), with the permeability of the rock around the well.
 
     Raises `ModelError` where a conductance or a volume is no number, or negative, or where
     nothing stores fluid.
@@ -199,7 +207,17 @@ def _connections(
     a = np.concatenate([terminal[i], terminal[k], terminal[network.cut_inside[at_side]]])
     b = np.concatenate([terminal[j], terminal[m], len(network.x) + len(wells) + rim[at_side]])
     g = np.concatenate([g, around, apertures.cut_conductance[at_side]])
-    return a[a != b], b[a != b], g[a != b]
+    a, b, g = a[a != b], b[a != b], g[a != b]
+    for number, well in enumerate(wells):
+        if well.skin > 0.0:
+            rock = radial_conductance(network, apertures, region, well)
+            if rock == 0.0:
+                raise ModelError(
+                    f"well {well.name} has a skin_factor, which needs a permeability of the rock "
+                    "between the well and the rim, but no pipe of the rock conducts there"
+                )
+            a, b, g = with_skin(a, b, g, len(network.x) + number, rock / well.skin)
+    return a, b, g
 
 
 def _around_sealed_sides(

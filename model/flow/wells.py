@@ -6,9 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.flow.factor import analyse, factorise, solve
+from model.network.connectivity import reached
 from model.network.domains import domains_at
 from model.outcome import ModelError
 from model.products import Apertures, Network
+from model.region import Region, distance_to_rim
 
 # Peaceman (1978): on a regular grid the pressure of a well block is that at 0.2 of the
 # distance between its neighbours; a pore near the well's centre is taken to stand there.
@@ -16,6 +19,12 @@ EQUIVALENT_RADIUS = 0.2
 
 # A pore may touch the wellbore; its logarithmic distance keeps this part of the pipe's.
 WELL_FLOOR = 0.02
+
+
+# Pores between the circles between which the rock around a well is measured, and the least
+# that the inner one spans.
+MEASURED_PORES = 15.0
+FEWEST_PORES = 3.0
 
 
 class WellSite(NamedTuple):
@@ -52,16 +61,11 @@ def wells_of_domains(network: Network, wells: tuple[WellSite, ...]) -> np.ndarra
 def conducting_pipes(
     network: Network, apertures: Apertures, wells: tuple[WellSite, ...], well_of: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Conducting pipes between domains inside the region, placed at the wells' walls.
-
-    Raises `ModelError` where a well has a skin, but no pipe of rock that it could throttle.
-    """
-    i, j = network.pipe_from, network.pipe_to
-    conducts = network.inside[i] & network.inside[j] & (apertures.conductance > 0.0)
-    pipe = np.flatnonzero(conducts)
-    i, j, g = i[pipe], j[pipe], apertures.conductance[pipe].copy()
+    """Conducting pipes between domains inside the region, placed at the wells' walls."""
+    pipe = _conducting(network, apertures)
+    i, j = network.pipe_from[pipe], network.pipe_to[pipe]
+    g = apertures.conductance[pipe].copy()
     for k, well in enumerate(wells):
-        throttled = 0
         for inner, outer, place_outer in (
             (i, j, apertures.pipe_trace_to[pipe]),
             (j, i, apertures.pipe_trace_from[pipe]),
@@ -70,34 +74,28 @@ def conducting_pipes(
             on_trace = ~np.isnan(place_outer[leaves])
             ours = leaves[~on_trace]
             g[ours] *= _well_factor(network, well, inner[ours], outer[ours])
-            throttled += len(ours)
             ours = leaves[on_trace]
             g[ours] = _trace_at_well(apertures, well, pipe[ours], place_outer[ours], g[ours])
-        if well.skin > 0.0 and not throttled:
-            raise ModelError(
-                f"well {well.name} has a skin_factor, but takes fluid through no pipe of the rock, "
-                "only along fractures of a given aperture, which a skin leaves alone"
-            )
     return i, j, g
+
+
+def _conducting(network: Network, apertures: Apertures) -> np.ndarray:
+    """Pipes that conduct between domains inside the region."""
+    within = network.inside[network.pipe_from] & network.inside[network.pipe_to]
+    return np.flatnonzero(within & (apertures.conductance > 0.0))
 
 
 def _well_factor(
     network: Network, well: WellSite, inner: np.ndarray, outer: np.ndarray
 ) -> np.ndarray:
-    """Correction ln(r_j / r_i) / (ln(r_j / r_w) + S) of pipes that leave a well.
-
-    Where the flow around the well is radial, p_j − p_w = q μ (ln(r_j / r_w) + S) / (2π k): the
-    skin S adds q μ S / (2π k) with the permeability that the pipes around the well have, and
-    does so pipe by pipe, as p_w = p − S ∂p/∂ln r does at the wall (van Everdingen 1953, Trans.
-    AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J. 10, Eq. 5).
-    """
+    """Logarithmic correction ln(r_j / r_i) / ln(r_j / r_w) of pipes that leave a well."""
     x0, y0 = well.at
     r_in = np.hypot(network.x[inner] - x0, network.y[inner] - y0)
     r_out = np.hypot(network.x[outer] - x0, network.y[outer] - y0)
     between = np.hypot(network.x[inner] - network.x[outer], network.y[inner] - network.y[outer])
     r_in = np.maximum(r_in, EQUIVALENT_RADIUS * between)
     whole = np.log(np.maximum(r_out, 1.001 * r_in) / r_in)
-    return whole / (np.maximum(np.log(r_out / well.radius), WELL_FLOOR * whole) + well.skin)
+    return whole / np.maximum(np.log(r_out / well.radius), WELL_FLOOR * whole)
 
 
 def _trace_at_well(
@@ -122,3 +120,67 @@ def _trace_at_well(
         distance = max(abs(place[k] + half) - np.sqrt(square), WELL_FLOOR * whole)
         result[k] = apertures.trace_transmissivity[trace] / distance
     return result
+
+
+def radial_conductance(
+    network: Network, apertures: Apertures, region: Region, well: WellSite
+) -> float:
+    """2π k / μ of the rock around a well, m³/(s Pa) for unit depth.
+
+    From radial flow through the pipes between two circles around it, of which the inner is
+    its wall or a few pores wide, and the outer some pores wider or at the rim. Fractures of a
+    given aperture are left out; 0 where nothing else conducts.
+    """
+    spacing = float(np.sqrt(network.area[network.inside].mean()))
+    room = float(distance_to_rim(region, np.array([well.at]))[0]) - spacing
+    inner = max(well.radius, min(FEWEST_PORES * spacing, 0.5 * room))
+    outer = min(inner + MEASURED_PORES * spacing, room)
+    wide = well._replace(radius=inner)
+    well_of = wells_of_domains(network, (wide,))
+    distance = np.hypot(network.x - well.at[0], network.y - well.at[1])
+    near = np.flatnonzero((distance < outer) & network.inside & (well_of < 0))
+    if len(near) == 0:
+        return 0.0
+    node = np.full(len(network.x), -1)
+    node[near] = np.arange(len(near))
+    i, j, g = conducting_pipes(network, apertures, (wide,), well_of)
+    rock = np.isnan(apertures.pipe_trace_to[_conducting(network, apertures)])
+    i, j, g = i[rock], j[rock], g[rock]
+    at_wall, at_rim = np.zeros(len(near)), np.zeros(len(near))
+    for one, other in ((i, j), (j, i)):
+        leaves = (node[one] >= 0) & (node[other] < 0)
+        inward = leaves & (well_of[other] == 0)
+        np.add.at(at_wall, node[one[inward]], g[inward])
+        outward = leaves & (well_of[other] < 0)
+        r_in, r_out = distance[one[outward]], distance[other[outward]]
+        part = np.log(r_out / r_in) / np.log(outer / r_in)
+        np.add.at(at_rim, node[one[outward]], g[outward] * part)
+    within = (node[i] >= 0) & (node[j] >= 0)
+    i, j, g = node[i[within]], node[j[within]], g[within]
+    held = reached(len(near), i, j, np.flatnonzero(at_rim > 0.0))
+    factor = factorise(analyse(len(near), i, j), g, at_wall + at_rim + ~held)
+    through = float(at_wall @ solve(factor, at_rim))
+    return through * float(np.log(outer / inner)) if through > 0.0 else 0.0
+
+
+def with_skin(
+    a: np.ndarray, b: np.ndarray, g: np.ndarray, well: int, skin_conductance: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Connections between terminals with a resistance in series with all that a well takes.
+
+    What takes fluid is then the wall, whose pressure is eliminated: with Σ the sum of the
+    conductances g_j that meet there and of the skin's, g_i g_j / Σ joins each two neighbours
+    and g_j g_skin / Σ each of them and the well.
+    """
+    ours = (a == well) | (b == well)
+    neighbour, which = np.unique(np.where(a == well, b, a)[ours], return_inverse=True)
+    meets = np.bincount(which, weights=g[ours])
+    total = meets.sum() + skin_conductance
+    first, second = np.triu_indices(len(neighbour), k=1)
+    return (
+        np.concatenate([a[~ours], neighbour[first], neighbour]),
+        np.concatenate([b[~ours], neighbour[second], np.full(len(neighbour), well)]),
+        np.concatenate(
+            [g[~ours], meets[first] * meets[second] / total, meets * skin_conductance / total]
+        ),
+    )

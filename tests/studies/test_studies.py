@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from pathlib import Path
 
 import numpy as np
@@ -68,5 +69,5 @@ def test_figures_and_report_are_drawn(ran):
     assert all(path.stat().st_size > 5_000 for path in figures)
     page = write_report(dataset, folder, study, figures)
     text = page.read_text(encoding="utf-8")
-    assert study.title in text
+    assert html.escape(study.title) in text
     assert "http" not in text.replace("http://www.w3.org", "")
