@@ -112,7 +112,7 @@ def explicit(problem: Problem) -> Answer:
     residual = 0.0
     for k in problem.active_sources:
         rhs = system.source(k)
-        source = _rim_source(stencil, rhs, system)
+        driven = _driven(stencil, rhs, system)
         p = np.zeros(system.n)
         p[system.pores :] = wells.direct(rhs)
         q = p.copy()
@@ -121,7 +121,7 @@ def explicit(problem: Problem) -> Answer:
         for m, (interval, count) in enumerate(zip(intervals, steps, strict=True)):
             if count:
                 dt = interval / count
-                p, q = _march(p, q, integral, int(count), dt, stencil, source, rhs[system.pores :])
+                p, q = _march(p, q, integral, int(count), dt, stencil, driven, rhs[system.pores :])
             maps[m, stencil.order] = p
             answer.cumulative[k, m] = _volumes(problem, k, maps[m], integral, lags[m])
         answer.output[k] = (problem.records.rows @ maps.T).T + problem.records.direct[k]
@@ -174,8 +174,6 @@ class Stencil(NamedTuple):
     row: np.ndarray  # (m,) int32: further neighbours and wells, one entry each
     column: np.ndarray  # (m,) int32
     weight: np.ndarray  # (m,)
-    rim: np.ndarray  # (f,) places beside a fixed pressure
-    rim_weight: np.ndarray  # (f,) excess of the row over C_i
     rim_unknown: np.ndarray  # (u,) unknowns beside a fixed pressure, wells included
     rim_place: np.ndarray  # (u,) their places
     well: np.ndarray  # (e,) well of each of the wells' pipes
@@ -210,7 +208,6 @@ def _stencil(system: System, wells: Algebraic) -> Stencil:
     near_weight[i[first], position[first]] = weight[first]
     at_well = j >= pores
     excess = system.excess
-    rim = np.flatnonzero(excess[order[:pores]] > 0.0)
     return Stencil(
         order=order,
         near=near,
@@ -218,8 +215,6 @@ def _stencil(system: System, wells: Algebraic) -> Stencil:
         row=i[~first].astype(np.int32),
         column=j[~first].astype(np.int32),
         weight=weight[~first],
-        rim=rim,
-        rim_weight=excess[order[rim]] / storage[rim],
         rim_unknown=np.flatnonzero(excess > 0.0),
         rim_place=place[excess > 0.0],
         well=j[at_well] - pores,
@@ -229,14 +224,25 @@ def _stencil(system: System, wells: Algebraic) -> Stencil:
     )
 
 
-def _rim_source(stencil: Stencil, rhs: np.ndarray, system: System) -> np.ndarray:
-    """Source of each pore of the rim over its storage, (f,) Pa/s; no other pore has one."""
-    unknown = stencil.order[stencil.rim]
-    return rhs[unknown] / system.storage[unknown]
+class Driven(NamedTuple):
+    """The pores that a source or a fixed pressure acts on; no other has a term of its own."""
+
+    place: np.ndarray  # (f,)
+    weight: np.ndarray  # (f,) excess of the row over C_i, 1/s
+    source: np.ndarray  # (f,) Pa/s
+
+
+def _driven(stencil: Stencil, rhs: np.ndarray, system: System) -> Driven:
+    """Pick the pores beside a fixed pressure and, for an initial field, all that it moves."""
+    order = stencil.order[: system.pores]
+    place = np.flatnonzero((system.excess[order] > 0.0) | (rhs[order] != 0.0))
+    unknown = order[place]
+    storage = system.storage[unknown]
+    return Driven(place, system.excess[unknown] / storage, rhs[unknown] / storage)
 
 
 @kernel
-def _march(p, q, integral, count, dt, s, rim_source, well_source):
+def _march(p, q, integral, count, dt, s, driven, well_source):
     """Advance p (n,) by `count` steps, with q (n,) as scratch; returns both, p first.
 
     `integral` gathers ∫ p dt of the unknowns of the rim, as Euler sees it.
@@ -255,9 +261,9 @@ def _march(p, q, integral, count, dt, s, rim_source, well_source):
         for k in range(s.row.size):
             i = s.row[k]
             q[i] += dt * s.weight[k] * (p[s.column[k]] - p[i])
-        for k in range(s.rim.size):
-            i = s.rim[k]
-            q[i] += dt * (rim_source[k] - s.rim_weight[k] * p[i])
+        for k in range(driven.place.size):
+            i = driven.place[k]
+            q[i] += dt * (driven.source[k] - driven.weight[k] * p[i])
         # wells have no storage: they balance at once
         q[pores:] = 0.0
         for w in range(well_source.size):
