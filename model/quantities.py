@@ -20,6 +20,7 @@ class Quantity(NamedTuple):
     needs: tuple[str, ...] = ()  # recorded where one of these is observed; empty: always
     transient: bool = False  # has a meaning in time only, not in a steady study
     constants: tuple[tuple[str, float], ...] = ()  # further attributes
+    gaps: bool = False  # may be NaN in places where the case is good
 
 
 # Variables of the dataset, one value or array per case.
@@ -39,6 +40,7 @@ CASE: dict[str, Quantity] = {
         "pressure change since the last rate change, positive in the sense of the change",
         ("well_pressure",),
         transient=True,
+        gaps=True,
     ),
     "pressure_derivative": Quantity(
         "Pa",
@@ -47,6 +49,7 @@ CASE: dict[str, Quantity] = {
         ("well_pressure",),
         transient=True,
         constants=(("smoothing_window", SMOOTHING),),
+        gaps=True,
     ),
     "permeability": Quantity(
         "m2", ("row", "column"), "permeability tensor of the region", ("permeability",)
@@ -58,7 +61,11 @@ CASE: dict[str, Quantity] = {
         ("boundary_flow",),
     ),
     "probe_pressure": Quantity(
-        "Pa", ("probe", "elapsed_time"), "pressure of the pore at the probe", ("probe_pressure",)
+        "Pa",
+        ("probe", "elapsed_time"),
+        "pressure of the pore at the probe",
+        ("probe_pressure",),
+        gaps=True,
     ),
     "porosity": Quantity("1", (), "pore volume over polygon area of the domains in the region"),
     "matrix_aperture": Quantity("m", (), "unstressed pipe aperture of the matrix, w0"),
@@ -75,7 +82,10 @@ CASE: dict[str, Quantity] = {
     ),
     "residual": Quantity("1", (), "residual of the flow equation at the last time, relative"),
     "estimated_error": Quantity(
-        "1", (), "relative error in time as the solver estimates it; explicit makes no estimate"
+        "1",
+        (),
+        "relative error in time as the solver estimates it; explicit makes no estimate",
+        gaps=True,
     ),
     "time_error": Quantity(
         "1",
@@ -83,6 +93,7 @@ CASE: dict[str, Quantity] = {
         "relative error in time against the exact solution of the same network",
         ("time_error",),
         transient=True,
+        gaps=True,
     ),
     "stress_achieved": Quantity(
         "Pa", ("component",), "stress in the specimen, positive in compression"

@@ -8,6 +8,7 @@ once it is known what each path names.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass
 from dataclasses import replace as with_changes
 from typing import Any, NamedTuple
@@ -98,8 +99,30 @@ def read_drafts(vary: Node | None, reading: Reading) -> list[Draft]:
     return drafts
 
 
-def read_axes(drafts: list[Draft], values: dict[str, Any], reading: Reading) -> list[Located]:
+def count_cases(drafts: list[Draft]) -> int:
+    """How many cases axes make, before their values are read; one that is wrong counts as 1."""
+    return math.prod(map(_length, drafts))
+
+
+def _length(draft: Draft) -> int:
+    entries = draft.node.entries
+    listed, count = entries.get("values"), entries.get("count")
+    if isinstance(listed, Sequence):
+        return max(1, len(listed.items))
+    if listed is None and isinstance(count, Scalar):
+        with suppress(UnitError):
+            number = whole(count.text, "count")
+            return number if 1 <= number <= MAX_CASES else 1
+    return 1
+
+
+def read_axes(
+    drafts: list[Draft], values: dict[str, Any], reading: Reading, *, ends_only: bool = False
+) -> list[Located]:
     """The axes whose every parameter exists, with values in SI.
+
+    `ends_only`: of evenly spaced values the first and the last alone, where the study makes too
+    many cases and is only checked for further problems.
 
     `values` are those of the scene. Of a value that could not be read a stand-in is kept, so
     that checks across blocks can go on.
@@ -113,7 +136,7 @@ def read_axes(drafts: list[Draft], values: dict[str, Any], reading: Reading) -> 
         parameters = [parameter for parameter in found if parameter is not None]
         if len(parameters) < len(found):
             continue
-        points = _points(draft, parameters, reading)
+        points = _points(draft, parameters, reading, ends_only)
         if points is None:
             continue
         _check_distinct(draft.name, points, reading)
@@ -189,7 +212,9 @@ def _find(
 Point = tuple[tuple[Any, ...], Place]
 
 
-def _points(draft: Draft, parameters: list[Parameter], reading: Reading) -> list[Point] | None:
+def _points(
+    draft: Draft, parameters: list[Parameter], reading: Reading, ends_only: bool
+) -> list[Point] | None:
     """The values of an axis and their places."""
     entries = draft.node.entries
     spacing = [key for key in ("from", "to", "count", "spacing") if key in entries]
@@ -197,7 +222,7 @@ def _points(draft: Draft, parameters: list[Parameter], reading: Reading) -> list
         if "parameters" in entries or not spacing:
             reading.report(draft.place, f"axis '{draft.name}' lacks 'values'")
             return None
-        return _spaced_points(draft, parameters[0], reading)
+        return _spaced_points(draft, parameters[0], reading, ends_only)
     if spacing:
         message = f"axis '{draft.name}' has values already; remove {', '.join(spacing)}"
         reading.report(draft.node.keys[spacing[0]], message)
@@ -235,7 +260,9 @@ def _value(node: Node, parameter: Parameter, path: str, reading: Reading) -> Any
     return parameter.read(node, path, reading)
 
 
-def _spaced_points(draft: Draft, parameter: Parameter, reading: Reading) -> list[Point] | None:
+def _spaced_points(
+    draft: Draft, parameter: Parameter, reading: Reading, ends_only: bool
+) -> list[Point] | None:
     """Evenly spaced values from … to."""
     entries, name = draft.node.entries, draft.name
     missing = [key for key in ("from", "to", "count") if key not in entries]
@@ -249,6 +276,8 @@ def _spaced_points(draft: Draft, parameter: Parameter, reading: Reading) -> list
     before = len(reading.problems)
     first, last = (parameter.read(entries[k], draft.paths[0], reading) for k in ("from", "to"))
     count = _count(entries["count"], name, reading)
+    if ends_only:
+        count = min(count, 2)
     log = _spacing(entries.get("spacing"), name, reading) == "log"
     if len(reading.problems) > before:
         return None

@@ -95,6 +95,8 @@ def run(options: argparse.Namespace) -> int:
         line.close()
     for message in finished.damaged:
         _say(f"damaged, computed again: {message}")
+    for message in finished.executed.refused if finished.executed else ():
+        _say(f"not used: {message}")
     _say(_summary(finished))
     if finished.failed:
         _say(f"why: demflow status {options.study}{_where(options)}")
@@ -185,8 +187,7 @@ def status(options: argparse.Namespace) -> int:
     else:
         print(f"{len(verdicts)} cases: {done} done, {failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
-            at = ", ".join(f"{name}={value}" for name, value in _at(prepared, case).items())
-            print(f"{at or 'the case'}: {v.status.name.lower()}: {v.message}")
+            print(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:
             print(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
     good = prepared.as_expected(verdicts) | [v.status is Status.NOT_RUN for v in verdicts]
@@ -291,6 +292,18 @@ def _at(prepared: Prepared, case: int) -> dict[str, Any]:
         axis.name: coordinates(axis)[0].values[int(k)].item()
         for axis, k in zip(prepared.study.axes, index, strict=True)
     }
+
+
+def _place(prepared: Prepared, case: int) -> str:
+    """Where a case lies, in words and with units."""
+    import numpy as np
+
+    from sweep.study import setting
+
+    axes = prepared.study.axes
+    index = np.unravel_index(case, prepared.study.shape) if axes else ()
+    settings = (setting(axis, int(k)) for axis, k in zip(axes, index, strict=True))
+    return ", ".join(settings) or "the case"
 
 
 def _where(options: argparse.Namespace) -> str:

@@ -214,6 +214,8 @@ def run_study(
                 break
         else:
             raise StoreError(f"{prepared.store.root} does not keep what is written: {damaged[-1]}")
+        if executed and executed.deaths:
+            prepared.store.remove_partial()
         (prepared.folder / UNFINISHED_FILE).unlink(missing_ok=True)
         finished = Finished(
             folder=prepared.folder,
@@ -338,6 +340,7 @@ def _execute(
             scheduler=scheduler,
             limits=limits,
             progress=progress,
+            anew=force,
         )
     finally:
         with suppress(OSError):

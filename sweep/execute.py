@@ -8,6 +8,7 @@ took too long or grew too large, and nobody else is blamed.
 
 from __future__ import annotations
 
+import os
 import time
 import uuid
 from collections import deque
@@ -26,7 +27,7 @@ from sweep.schedule import Bundle, Schedule, Tally
 from sweep.stages import MODEL, Status
 from sweep.store import DamagedError, MissingError, Store
 from sweep.versions import NUMERICAL, versions
-from sweep.worker import Job, Outcome, Task, introduce, run_job
+from sweep.worker import Greeting, Job, Outcome, Task, introduce, run_job
 
 if TYPE_CHECKING:
     from model.scene import Scene
@@ -35,6 +36,10 @@ TICK = 0.2  # s between looks at times, memory and living workers
 AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
 LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
 LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
+GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
+HEARD_SECONDS = 20.0  # s that the first stage run waits for all workers to be heard
+DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
+GREETINGS = 3  # workers that may fail to answer in one run
 ANSWER_SECONDS = 2.0  # s to fetch an answer before looking whether its worker still lives
 
 
@@ -58,6 +63,7 @@ class Executed:
     failed: int = 0
     damaged: list[str] = field(default_factory=list)  # products computed again, and why
     deaths: int = 0  # of workers
+    refused: list[str] = field(default_factory=list)  # workers that came in mid-run and cannot help
     seconds: float = 0.0
 
     def joined(self, other: Executed | None) -> Executed:
@@ -69,6 +75,7 @@ class Executed:
             self.failed + other.failed,
             self.damaged + other.damaged,
             self.deaths + other.deaths,
+            self.refused + other.refused,
             self.seconds + other.seconds,
         )
 
@@ -83,6 +90,7 @@ def execute(
     scheduler: str | None = None,
     limits: Limits | None = None,
     progress: Callable[[Progress], None] | None = None,
+    anew: bool = False,
 ) -> Executed:
     """Run all that the schedule holds and store the products.
 
@@ -97,6 +105,7 @@ def execute(
     scheduler : address of an existing Dask scheduler, instead of local workers.
     limits : what one case may take.
     progress : called with the state of the run, several times a second.
+    anew : whether runs may have products that are to be made again all the same.
 
     Raises SchedulerError where the scheduler or its workers cannot be used; RunError where
     no worker can be had or the store cannot be written;
@@ -106,6 +115,8 @@ def execute(
     pool: Pool = RemotePool(scheduler) if scheduler else LocalPool(workers)
     try:
         run = _Execution(schedule, store, scene_of, table, limits or Limits(), progress, pool)
+        if anew:
+            run.note_old_products()
         run.loop()
     finally:
         with uninterrupted():
@@ -143,14 +154,18 @@ class _Execution:
         self.report = Executed()
         self.flights: dict[str, deque[_Flight]] = {}  # by worker, in the order of their work
         self.met: set[str] = set()
+        self.unfit: dict[str, str] = {}  # workers that are sent nothing, and why
+        self.silent = 0  # workers that never answered their greeting
+        self.old: dict[int, tuple[int, int]] = {}  # products of earlier runs, to be made again
         self.held: dict[str, set[str]] = {}  # products that a worker without a store was sent
         self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
-        self.dead: set[str] = set()
+        self.dead: dict[str, float] = {}  # when a worker died, while its address is listed still
         self.events: SimpleQueue[tuple[str, _Flight]] = SimpleQueue()
         self.losses: dict[int, int] = {}
         self.seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
         self.jobs = 0
-        self.alive = time.monotonic()
+        self.started = False  # whether a stage run was handed out
+        self.begin = self.alive = time.monotonic()
 
     def loop(self) -> None:
         """Hand out, wait, take in, until nothing is left to do."""
@@ -170,14 +185,37 @@ class _Execution:
                 shown = now
         self._show()
 
+    def note_old_products(self) -> None:
+        """Remember the products that are there already, so as to tell new ones from them."""
+        for run in range(len(self.plan.runs)):
+            if not self.schedule.is_done(run) and (found := self._product_file(run)):
+                self.old[run] = found
+
+    def _product_file(self, run: int) -> tuple[int, int] | None:
+        """What tells one file of a product from the next, None where there is none."""
+        try:
+            found = os.stat(self.store.path(self.plan.runs[run].id))
+        except FileNotFoundError:
+            return None
+        return found.st_ino, found.st_mtime_ns
+
     def _hand_out(self) -> None:
-        addresses = self.pool.addresses() - self.dead
-        if addresses:
-            self.alive = time.monotonic()
+        addresses, now = self.pool.addresses(), time.monotonic()
+        self.dead = {
+            a: at for a, at in self.dead.items() if a in addresses and now - at < DEAD_SECONDS
+        }
+        addresses -= self.dead.keys()
         for address in sorted(addresses - self.met):
-            self._greet(address)
+            self.met.add(address)
+            if why := self.pool.unfit(address):
+                self._refuse(address, why)
+            else:
+                self._greet(address)
+        addresses -= self.unfit.keys()
+        if addresses:
+            self.alive = now
         greeted = {a for a in addresses if (line := self._line(a)) and not line[0].bundle.runs}
-        if greeted and self.jobs == len(self.met):
+        if greeted and not self.started and now - self.begin < HEARD_SECONDS:
             return  # before the first stage run, all workers are heard
         addresses = addresses - greeted
         # first whoever has nothing to do, then whoever soon will have nothing
@@ -198,18 +236,22 @@ class _Execution:
 
     def _greet(self, address: str) -> None:
         """Have a new worker import the stages and say which versions it runs."""
-        self.met.add(address)
-        self._submit(address, Bundle((), False, 0.0), introduce, self.table)
+        greeting = Greeting(self.table, self.pool.parent)
+        self._submit(address, Bundle((), False, 0.0), introduce, greeting)
 
     def _meet(self, address: str, found: dict[str, str]) -> None:
         own = versions()
         other = [name for name in ("demflow", *NUMERICAL) if found.get(name) != own[name]]
         if other:
             listed = ", ".join(f"{n} {found.get(n)} (here {own[n]})" for n in other)
-            raise self._refused(f"the worker {address} has {listed}; give all the same versions")
+            self._refuse(address, f"the worker {address} has {listed}; give all the same versions")
 
-    def _refused(self, message: str) -> RunError:
-        return RunError(message) if self.report.computed else SchedulerError(message)
+    def _refuse(self, address: str, why: str) -> None:
+        """Send nothing to a worker. Raises SchedulerError before the first stage run."""
+        if not self.started:
+            raise SchedulerError(why)
+        self.unfit[address] = why
+        self.report.refused.append(why)
 
     def _send_next(self, address: str, *, alone_possible: bool) -> None:
         while bundle := self.schedule.next_bundle(alone_possible):
@@ -229,6 +271,7 @@ class _Execution:
         self, address: str, bundle: Bundle, function: Callable[[Any], Any], argument: Any
     ) -> None:
         self.jobs += 1
+        self.started = self.started or bool(bundle.runs)
         future = self.pool.submit(address, function, argument, f"{self.name}-{self.jobs}")
         flight = _Flight(bundle, future, time.monotonic())
         self._line(address).append(flight)
@@ -281,9 +324,9 @@ class _Execution:
         if error is None or isinstance(error, KilledWorker):
             self._bury(address)
         elif not flight.bundle.runs:
-            raise self._refused(
-                f"the worker {address} cannot run demflow: {type(error).__name__}: {error}"
-            ) from error
+            line.remove(flight)
+            why = f"{type(error).__name__}: {error}"
+            self._refuse(address, f"the worker {address} cannot run demflow: {why}")
         elif isinstance(error, OSError):
             raise RunError(f"the store cannot be used by a worker: {error}") from error
         else:
@@ -351,26 +394,28 @@ class _Execution:
 
     def _bury(self, address: str, verdict: tuple[Status, str] | None = None) -> None:
         """A worker is dead, or was ended with a verdict on what it was doing."""
-        self.dead.add(address)
+        self.dead[address] = time.monotonic()
+        self.met.discard(address)
+        self.held.pop(address, None)
         self.report.deaths += 1
         line = self.flights.pop(address, deque())
         for flight in line:
             for run in flight.bundle.runs:
-                if self.store.has(self.plan.runs[run].id) and not self.schedule.is_done(run):
+                found = None if self.schedule.is_done(run) else self._product_file(run)
+                if found is not None and found != self.old.get(run):
                     self.report.computed += 1
                     self.schedule.done(run)
                     self.tally.finish(run, good=True)
-        if line:
-            bundle = line[0].bundle
-            if verdict and len(bundle.runs) == 1:
-                self._convict(bundle.runs[0], *verdict)
-            elif (guilty := self.schedule.died(bundle)) is not None:
-                self._convict(
-                    guilty,
-                    Status.WORKER_DIED,
-                    "its worker process died, also with nothing else on it; "
-                    "most often memory ran out: try fewer grains or fewer workers",
-                )
+        bundle = line[0].bundle if line else Bundle((), False, None)
+        if verdict and len(bundle.runs) == 1:
+            self._convict(bundle.runs[0], *verdict)
+        elif (guilty := self.schedule.died(bundle)) is not None:
+            self._convict(
+                guilty,
+                Status.WORKER_DIED,
+                "its worker process died, also with nothing else on it; "
+                "most often memory ran out: try fewer grains or fewer workers",
+            )
         for flight in list(line)[1:]:
             self.schedule.again(flight.bundle.runs)
         for flight in line:
@@ -386,12 +431,25 @@ class _Execution:
             if address not in addresses:
                 self._bury(address)
             elif not line[0].bundle.runs:
-                continue
+                if now - line[0].begin > GREETING_SECONDS:
+                    self._give_up(address)
             elif verdict := self._excess(address, line[0].bundle, now - line[0].begin):
                 self._bury(address, verdict)
                 self.pool.kill(address)
         if now - self.alive > LOST_FOR_GOOD:
-            raise RunError(f"no worker for {LOST_FOR_GOOD:g} s; they may not be able to start")
+            why = "; ".join(self.unfit.values()) or "they may not be able to start"
+            raise RunError(f"no worker for {LOST_FOR_GOOD:g} s: {why}")
+
+    def _give_up(self, address: str) -> None:
+        """End a worker that does not answer its greeting; its successor is greeted anew."""
+        self._bury(address)
+        self.pool.kill(address)
+        self.silent += 1
+        if self.silent >= GREETINGS:
+            raise RunError(
+                f"{self.silent} workers did not answer within {GREETING_SECONDS:g} s; "
+                f"the last of them was {address}"
+            )
 
     def _excess(self, address: str, bundle: Bundle, seconds: float) -> tuple[Status, str] | None:
         time_limit, memory_limit = self.limits.time, self.limits.memory

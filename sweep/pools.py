@@ -19,8 +19,9 @@ from typing import Any, Protocol
 import dask
 import psutil
 from distributed import Client, Future, LocalCluster
+from distributed.core import Status as ServerStatus
 
-START_ATTEMPTS = 3  # to start the workers, should one be killed meanwhile
+START_ATTEMPTS = 6  # to start a first worker, should it be killed meanwhile
 CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
 
 # One thread per worker, whatever library it comes from; set before the workers start.
@@ -48,9 +49,13 @@ class Pool(Protocol):
     """Workers, wherever they are."""
 
     shares_store: bool  # whether they see the client's store; products travel otherwise
+    parent: int | None  # process with which they end; None: they were there before
 
     def addresses(self) -> set[str]:
-        """Workers that can be sent a job."""
+        """Workers that are there."""
+
+    def unfit(self, address: str) -> str | None:
+        """Why a worker must not be sent a job, None where it may."""
 
     def submit(
         self, address: str, function: Callable[[Any], Any], argument: Any, key: str
@@ -73,6 +78,10 @@ class LocalPool:
     shares_store = True
 
     def __init__(self, workers: int):
+        self.parent: int | None = os.getpid()
+        self.workers = workers
+        self._started = False  # whether a worker ever stood
+        self._failures = 0  # to start one, before that
         self._config = dask.config.set(
             {
                 # a death is ours to judge: Dask must neither retry nor blame
@@ -80,19 +89,48 @@ class LocalPool:
                 "distributed.worker.multiprocessing-method": "spawn",
                 "distributed.nanny.pre-spawn-environ": ONE_THREAD,
                 "distributed.comm.timeouts.connect": "30s",
+                # a nanny whose worker is being started anew must not be given up
+                "distributed.deploy.lost-worker-timeout": "1000 days",
             }
         )
         try:
             with _signals_kept_for_later():
-                self.cluster = _started(workers)
+                self.cluster = _cluster()
                 self.client = Client(self.cluster, set_as_default=False)
+            self.cluster.scale(workers)
         except BaseException:
             self.close()
             raise
 
     def addresses(self) -> set[str]:
-        """Workers that can be sent a job."""
-        return {a for nanny in self._nannies() if (a := nanny.worker_address) is not None}
+        """Workers that are there. Raises RunError where none can be started."""
+        found = {a for nanny in self._nannies() if (a := nanny.worker_address) is not None}
+        self._started = self._started or bool(found)
+        self._replace_fallen()
+        return found
+
+    def _replace_fallen(self) -> None:
+        """Have others take the place of nannies that ended since their first worker did not stand.
+
+        A nanny starts a worker anew that dies later, even while it is starting again.
+        """
+        over = (ServerStatus.failed, ServerStatus.closed)
+        fallen = [name for name, n in list(self.cluster.workers.items()) if n.status in over]
+        if not fallen:
+            return
+        self._failures += 1
+        if not self._started and self._failures >= START_ATTEMPTS:
+            raise RunError(
+                "the worker processes did not start; a script has to call sweep.run below "
+                "`if __name__ == '__main__':`"
+            )
+        for name in fallen:
+            self.cluster.worker_spec.pop(name, None)
+        self.cluster.scale(self.workers)
+
+    def unfit(self, address: str) -> str | None:
+        """All are as they were started."""
+        return None
 
     def submit(
         self, address: str, function: Callable[[Any], Any], argument: Any, key: str
@@ -149,6 +187,7 @@ class RemotePool:
     """Workers of a Dask cluster that runs already, wherever they are."""
 
     shares_store = False
+    parent: int | None = None
 
     def __init__(self, scheduler: str):
         # a parent product may be large, and is meant to travel
@@ -163,21 +202,24 @@ class RemotePool:
         self._asked = -float("inf")
 
     def addresses(self) -> set[str]:
-        """Workers that can be sent a job. Raises SchedulerError where one has many threads."""
-        workers = self._look()
-        for address, worker in workers.items():
-            if worker["nthreads"] != 1:
-                raise SchedulerError(
-                    f"the worker {address} has {worker['nthreads']} threads; "
-                    "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
-                )
-        return set(workers)
+        """Workers that are there."""
+        return set(self._look())
+
+    def unfit(self, address: str) -> str | None:
+        """Why a worker must not be sent a job: it has many threads."""
+        threads = self._look().get(address, {}).get("nthreads", 1)
+        if threads == 1:
+            return None
+        return (
+            f"the worker {address} has {threads} threads; "
+            "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
+        )
 
     def _look(self) -> dict[str, Any]:
         """What the scheduler knows of its workers; asked for once a second."""
         if time.monotonic() - self._asked > 1.0:
             try:
-                self._workers = dict(self.client.scheduler_info()["workers"])
+                self._workers = dict(self.client.scheduler_info(n_workers=-1)["workers"])
             except (OSError, TimeoutError) as error:
                 raise RunError(f"the scheduler {self.scheduler} answers no longer") from error
             self._asked = time.monotonic()
@@ -190,8 +232,9 @@ class RemotePool:
         return _submit(self.client, address, function, argument, key)
 
     def kill(self, address: str) -> None:
-        """Have the worker's nanny start it anew."""
-        self.client.restart_workers([address], timeout=30, raise_for_error=False)
+        """Have the worker's nanny start it anew; without a nanny it is left to itself."""
+        with suppress(ValueError, OSError, TimeoutError):
+            self.client.restart_workers([address], timeout=30, raise_for_error=False)
 
     def memory(self, address: str) -> float:
         """Resident memory of a worker as it told its scheduler last, bytes."""
@@ -204,24 +247,19 @@ class RemotePool:
         self._config.__exit__(None, None, None)
 
 
-def _started(workers: int) -> LocalCluster:
-    for _ in range(START_ATTEMPTS):
-        try:
-            return LocalCluster(
-                n_workers=workers,
-                threads_per_worker=1,
-                processes=True,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                memory_limit=0,  # watched here, so that it can be said who took it
-                silence_logs=logging.CRITICAL,
-            )
-        except RuntimeError as error:  # one died before it stood
-            cause = error
-    raise RunError(
-        "the worker processes did not start; a script has to call sweep.run below "
-        "`if __name__ == '__main__':`"
-    ) from cause
+def _cluster() -> LocalCluster:
+    """A scheduler on the loopback that has no workers yet."""
+    # the loop reports here what is judged in `_replace_fallen`
+    logging.getLogger("tornado.application").setLevel(logging.CRITICAL)
+    return LocalCluster(
+        n_workers=0,
+        threads_per_worker=1,
+        processes=True,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        memory_limit=0,  # watched here, so that it can be said who took it
+        silence_logs=logging.CRITICAL,
+    )
 
 
 def _submit(

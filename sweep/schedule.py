@@ -21,6 +21,7 @@ from sweep.plan import Plan
 BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts about this long
 BUNDLE_LENGTH = 64  # and holds no more runs than this
 ATTEMPTS_ALONE = 2  # deaths of a worker, with nothing else on it, that convict a run
+SPARE_ATTEMPTS = 4  # further ones, one for each death that nobody is to blame for
 
 
 class State(IntEnum):
@@ -62,7 +63,8 @@ class Schedule:
         self.state[stored] = State.DONE
         self.state[failed & ~stored] = State.FAILED
         self.suspects: set[int] = set()
-        self.deaths: dict[int, int] = {}
+        self.deaths: dict[int, int] = {}  # of workers that had nothing else on them
+        self.unexplained: list[set[int]] = []  # runs under which a worker died, none convicted
         self._stage = np.array([run.stage for run in plan.runs], dtype=np.int32)
         self._measured = Costs()  # in this run: what is expected of the next one
         self._ready: list[tuple[int, int]] = []  # heap of (first case, run)
@@ -170,14 +172,19 @@ class Schedule:
     def died(self, bundle: Bundle) -> int | None:
         """The worker died under a bundle. Return the run to blame, None while it is unknown.
 
-        Its runs are retried, each alone on a worker; one under which the
-        worker dies again, with nothing else there, has done it.
+        Its runs are retried, each alone on a worker; one under which the worker dies again
+        and again, with nothing else there, has done it. Where workers die under other runs too,
+        something outside may be ending them, and a run is given more attempts.
         """
         runs = [run for run in bundle.runs if self.state[run] == State.RUNNING]
         if bundle.alone and len(runs) == 1:
-            self.deaths[runs[0]] = self.deaths.get(runs[0], 0) + 1
-            if self.deaths[runs[0]] >= ATTEMPTS_ALONE:
-                return runs[0]
+            run = runs[0]
+            self.deaths[run] = self.deaths.get(run, 0) + 1
+            elsewhere = sum(run not in aboard for aboard in self.unexplained)
+            if self.deaths[run] >= ATTEMPTS_ALONE + min(elsewhere, SPARE_ATTEMPTS):
+                self.unexplained = [aboard for aboard in self.unexplained if run not in aboard]
+                return run
+        self.unexplained.append(set(runs))
         self.suspects.update(runs)
         self.again(runs)
         return None

@@ -19,7 +19,15 @@ from typing import Any
 from model.parameters import parameter
 from model.scene import OBSERVABLES
 from sweep import yaml_source
-from sweep.axes import MAX_CASES, Axis, Located, labelled, read_axes, read_drafts
+from sweep.axes import (
+    MAX_CASES,
+    Axis,
+    Located,
+    count_cases,
+    labelled,
+    read_axes,
+    read_drafts,
+)
 from sweep.blocks import block_of
 from sweep.expect import EXPECT, Expectation
 from sweep.grammar import Reading, report_unknown
@@ -143,7 +151,11 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
     variants = read_variants(root, reading)
     scenes = _scenes_of(root, variants, meant, reading)
     values = scenes[0]
-    axes = read_axes(drafts, values, reading)
+    count = count_cases(drafts) * len(scenes)
+    if count > MAX_CASES:
+        message = f"vary makes {count:,} cases; a study may have {MAX_CASES:,} at most"
+        reading.report(keys["vary"], message)
+    axes = read_axes(drafts, values, reading, ends_only=count > MAX_CASES)
     if variants is not None:
         check_found_everywhere(drafts, variants, scenes, reading)
         axes.insert(variants.position, variants.located(scenes))
@@ -160,10 +172,6 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
             for path, what in problems:
                 if not reading.spoilt(path):
                     reading.report(reading.place(path), f"{path}: {what}")
-    count = math.prod(len(located.axis.values) for located in axes)
-    if count > MAX_CASES:
-        message = f"vary makes {count:,} cases; a study may have {MAX_CASES:,} at most"
-        reading.report(keys["vary"], message)
     _check_scenes(values, axes, reading, combine=count <= MAX_CASES)
     _check_figures(blocks["figures"], values, axes, reading)
     if reading.problems:
@@ -316,8 +324,8 @@ def _check_scenes(
                 place = located[moved[0]].places[index[moved[0]]]
             else:
                 place = reading.place(path)
-            setting = " and ".join(_setting(axes[number], index[number]) for number in moved)
-            suffix = f" (where {setting})" if setting else ""
+            settings = " and ".join(setting(axes[number], index[number]) for number in moved)
+            suffix = f" (where {settings})" if settings else ""
             reading.report(place, f"{path}: {what}{suffix}" if path else f"{what}{suffix}")
 
 
@@ -347,7 +355,7 @@ def _indices(shape: list[int], combine: bool) -> Iterator[tuple[int, ...]]:
                 yield tuple(i if k == a else j if k == b else 0 for k in range(len(shape)))
 
 
-def _setting(axis: Axis, k: int) -> str:
+def setting(axis: Axis, k: int) -> str:
     """A point of an axis in words: `stress_yy = 5 MPa`."""
     if axis.names:
         return f"{axis.name} = {axis.names[k]}"

@@ -37,9 +37,12 @@ class Unwanted:
 def verify(results: str | Path) -> Verified:
     """Re-hash every file of the store of a results folder, and every dataset in it.
 
-    Raises StoreError where no store is there, LockedError while a run goes on.
+    `results` is the folder of all results; one study's folder in it stands for it too. Raises
+    StoreError where no store is there, LockedError while a run goes on.
     """
     root = Path(results)
+    if not _has_store(root) and (root / STUDY_FILE).is_file():
+        root = root.resolve().parent
     store = _store(root)
     writable = os.access(root, os.W_OK)
     checked, damaged = 0, []
@@ -89,7 +92,11 @@ def free(results: str | Path) -> Unwanted:
     return found
 
 
+def _has_store(root: Path) -> bool:
+    return (root / "store" / "FORMAT").is_file()
+
+
 def _store(root: Path) -> Store:
-    if not (root / "store" / "FORMAT").is_file():
+    if not _has_store(root):
         raise StoreError(f"{root} is no results folder: there is no store in it")
     return Store.open(root / "store", create=False)

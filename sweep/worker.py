@@ -9,9 +9,11 @@ that cannot be written is an error of the whole run.
 
 from __future__ import annotations
 
+import ctypes
 import os
 import platform
 import resource
+import signal
 import socket
 import sys
 import time
@@ -22,15 +24,16 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from model.outcome import ModelError
 from model.parameters import SceneError
+from model.quantities import CASE
 from sweep.stages import Status, stage_table
 from sweep.store import DamagedError, MissingError, Store, Stored, canonical, pack, unpack
 from sweep.versions import versions
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from model.stages import Stage
 
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
@@ -70,10 +73,34 @@ class Outcome:
     file: bytes = field(default=b"", kw_only=True)  # what a worker without a store would store
 
 
-def introduce(table: str) -> dict[str, str]:
+class Greeting(NamedTuple):
+    """The first words to a worker."""
+
+    table: str  # where the table of stages lies
+    parent: int | None  # process that started the worker and ends with it; None: others did
+
+
+def introduce(greeting: Greeting) -> dict[str, str]:
     """Import the stages, which is no stage's time, and return the versions of this worker."""
-    stage_table(table)
+    if greeting.parent is not None:
+        _end_with(greeting.parent)
+    stage_table(greeting.table)
     return versions()
+
+
+def _end_with(parent: int) -> None:
+    """Have the kernel end this process when its parent dies, whatever it is at then.
+
+    Dask's own watch is a thread, which a compiled stage can keep from running for hours; it
+    remains where the kernel is not Linux.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent:  # it was quicker
+            os._exit(1)
+
+
+_PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
 def run_job(job: Job) -> list[Outcome]:
@@ -148,6 +175,8 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     try:
         product = stage.run(*parents, **task.reads)
         arrays = {name: canonical(array) for name, array in named(product).items()}
+        if stage.product is dict:  # what a case observes; NaN in other products ends up there
+            _check_numbers(arrays)
     except MemoryError:
         status, message = Status.OUT_OF_MEMORY, "no memory left; try fewer grains or fewer workers"
     except (ModelError, SceneError) as error:
@@ -169,6 +198,21 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     size = held.put(task.id, arrays, meta)
     _memory.put(task.id, arrays)
     return Outcome(task.run, status, message, seconds, size, memory)
+
+
+def _check_numbers(found: Mapping[str, np.ndarray]) -> None:
+    """Raise ModelError where a result is no number that must be one."""
+    for name, array in found.items():
+        if array.dtype.kind != "f":
+            continue
+        wrong = ~np.isfinite(array)
+        if CASE[name].gaps:
+            wrong &= ~np.isnan(array)
+        if count := np.count_nonzero(wrong):
+            raise ModelError(
+                f"{name} is not a finite number at {count} of {array.size} places; "
+                "try another solver.method, or less extreme apertures and times"
+            )
 
 
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # what getrusage counts in

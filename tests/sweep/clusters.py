@@ -47,6 +47,18 @@ def dask_cluster(folder: Path, workers: int = 2) -> Iterator[Cluster]:
         yield Cluster(json.loads(contact.read_text())["address"], started, folder)
 
 
+@contextmanager
+def extra_worker(address: str, folder: Path, *options: str) -> Iterator[subprocess.Popen]:
+    """Let one more `dask worker` join a scheduler while a `with` block runs."""
+    with _process(folder, "worker", address, *LOCAL, *options) as started:
+        end = time.monotonic() + PATIENCE
+        while not _has_worker(started):
+            if time.monotonic() > end:
+                raise TimeoutError((folder / "log").read_text())
+            time.sleep(0.05)
+        yield started
+
+
 def _written(contact: Path) -> bool:
     return contact.exists() and contact.read_text().endswith("}")
 

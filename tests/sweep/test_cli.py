@@ -93,7 +93,7 @@ def test_some_case_failed(bad, capsys):
     assert toys.demflow("status", str(path), "--results", results) == 1
     assert capsys.readouterr().out.splitlines() == [
         "2 cases: 1 done, 1 failed, 0 missing",
-        "seed=1, rate=-1.0: failed: flow: the well is dry; try a smaller rate",
+        "seed = 1, rate = -1 m3/s: failed: flow: the well is dry; try a smaller rate",
     ]
     assert toys.demflow("status", str(path), "--results", results, "--json") == 1
     failure = {"seed": 1, "rate": -1.0, "status": "failed"}

@@ -5,17 +5,18 @@ from __future__ import annotations
 import os
 import threading
 import time
+from contextlib import ExitStack
 
 import psutil
 import pytest
 
 from sweep import worker
-from sweep.pools import RemotePool, SchedulerError
+from sweep.pools import SchedulerError
 from sweep.stages import Status
 from sweep.store import pack, unpack
 from sweep.worker import Job, Task, run_job
 from tests.sweep import toy_stages, toys
-from tests.sweep.clusters import dask_cluster
+from tests.sweep.clusters import dask_cluster, extra_worker
 from tests.sweep.test_engine import assert_same_bits
 
 RATES = (1.0, 2.0, 3.0, 4.0)
@@ -102,13 +103,26 @@ def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
         toys.run(path, tmp_path / "results", scheduler=address)
 
 
-def test_workers_of_many_threads_are_refused(monkeypatch):
-    remote = object.__new__(RemotePool)
-    monkeypatch.setattr(
-        remote, "_look", lambda: {"tcp://1.2.3.4:5": {"nthreads": 4}}, raising=False
-    )
-    with pytest.raises(SchedulerError, match="tcp://1.2.3.4:5 has 4 threads"):
-        remote.addresses()
+def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(cluster, tmp_path):
+    address, _, folder = cluster
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(*RATES, 5.0), seconds=0.3)
+    joined = ExitStack()
+
+    def join() -> None:
+        while not list(tmp_path.glob("results/store/*/*.product")):
+            time.sleep(0.05)
+        joined.enter_context(extra_worker(address, folder / "wide", "--nthreads", "3"))
+
+    joiner = threading.Thread(target=join)
+    joiner.start()
+    with joined:
+        try:
+            finished = toys.run(path, tmp_path / "results", scheduler=address)
+        finally:
+            joiner.join()
+        with pytest.raises(SchedulerError, match="has 3 threads"):
+            toys.run(path, tmp_path / "other", scheduler=address)
+    assert (finished.failed, finished.cases) == (0, 5)
 
 
 def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):

@@ -9,14 +9,15 @@ import sys
 import time
 from pathlib import Path
 
-import psutil
+import numpy as np
 import pytest
 
 from sweep.engine import prepare
 from sweep.lock import FolderLock, LockedError
 from sweep.results import open_results
 from sweep.store import StoreError
-from tests.sweep import toys
+from tests.sweep import toy_stages, toys
+from tests.sweep.processes import leftovers, products, start
 
 CASES = 2 * 2 * 3
 RUNS = 2 + 4 + 12 + 12  # packs, stresses, flows, observers
@@ -103,6 +104,17 @@ def test_force_computes_everything_again(done):
     assert again.executed.computed == RUNS
 
 
+def test_what_lay_there_before_is_not_taken_for_new_where_a_worker_dies(tmp_path):
+    rates = (1.0, toy_stages.DIES)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates)
+    toys.run(path, tmp_path / "results")
+    plan = toys.prepared(path, tmp_path / "results")
+    dying = next(r.id for r in plan.plan.runs if r.stage == 2 and r.case == 1)
+    plan.store.put(dying, {"pressure": np.zeros(3)}, {"seconds": 0.0})  # of an earlier, luckier run
+    finished = toys.run(path, tmp_path / "results", force=True)
+    assert (finished.failed, finished.executed.computed) == (1, 4)
+
+
 def test_damaged_products_are_found_recomputed_and_reported(done, tmp_path):
     path, finished = done
     first = toys.run(path, tmp_path / "results")
@@ -151,18 +163,6 @@ def environment() -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": os.pathsep.join([os.getcwd(), *filter(None, sys.path)])}
 
 
-def start(path: Path, results: Path) -> subprocess.Popen:
-    command = [sys.executable, "-m", "tests.sweep.toys", "run", str(path)]
-    return subprocess.Popen(
-        [*command, "--results", str(results)],
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
 def stored(results: Path) -> set[str]:
     return {path.name for path in results.glob("store/*/*.product")}
 
@@ -175,31 +175,38 @@ def wait_until(condition) -> None:
     raise AssertionError("it did not happen")
 
 
+def test_workers_end_with_a_killed_run_whatever_they_are_at(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(toy_stages.HOLDS_ON,))
+    running = start(path, tmp_path / "results")
+    wait_until(lambda: len(stored(tmp_path / "results")) == 1)
+    time.sleep(0.5)
+    running.process.kill()
+    running.finish()
+    assert running.left_after(5.0) == []
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path, number):
     rates = tuple(range(1, 11))
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, seconds=0.25)
     results = tmp_path / "results"
-    process = start(path, results)
+    running = start(path, results)
     wait_until(lambda: len(stored(results)) > 4)
-    family = [psutil.Process(process.pid), *psutil.Process(process.pid).children(recursive=True)]
     if number == signal.SIGINT:
-        os.killpg(process.pid, number)  # as a terminal does: to all of them
+        os.killpg(running.process.pid, number)  # as a terminal does: to all of them
     else:
-        process.send_signal(number)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == (-9 if number == signal.SIGKILL else 130)
+        running.process.send_signal(number)
+    status, _, err = running.finish(60)
+    assert status == (-9 if number == signal.SIGKILL else 130)
     if number != signal.SIGKILL:
         assert "interrupted" in err
         assert "Traceback" not in err
-    assert psutil.wait_procs(family, timeout=20)[1] == []
+    assert running.left_after(20) == []
     kept = stored(results)
     assert 4 < len(kept) < 2 + 20
-    times = {path.name: path.stat().st_mtime_ns for path in results.glob("store/*/*.product")}
+    files = products(results)
     finished = toys.run(path, results)
     assert (finished.cases, finished.failed) == (10, 0)
     assert finished.executed.computed == 2 + 20 - len(kept)
-    for file in results.glob("store/*/*.product"):
-        assert file.stat().st_mtime_ns == times.get(file.name, file.stat().st_mtime_ns)
-    assert list(results.rglob("*.partial")) == []
-    assert not (results / ".lock").exists()
+    assert products(results).items() >= files.items()
+    assert leftovers(results) == []

@@ -19,9 +19,14 @@ POISON = {
     toy_stages.BREAKS: (Status.FAILED, "flow: ZeroDivisionError: one over nothing (toy_stages.py"),
     toy_stages.NO_MEMORY: (Status.OUT_OF_MEMORY, "flow: no memory left"),
     toy_stages.DIES: (Status.WORKER_DIED, "flow: its worker process died"),
+    toy_stages.NO_NUMBER: (
+        Status.FAILED,
+        "observe: well_pressure is not a finite number at 3",
+    ),
+    toy_stages.HOLDS_ON: (Status.TIMED_OUT, "flow: not done after 2 s"),
     toy_stages.HANGS: (Status.TIMED_OUT, "flow: not done after 2 s"),
 }
-HEALTHY = (1.0, 2.0, 3.0, 4.0, 5.0)
+HEALTHY = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +61,8 @@ def test_no_other_case_is_lost(poisoned):
     assert (good.status == Status.DONE).all()
     assert (good.message == "").all()
     assert np.isfinite(good.well_pressure).all()
-    assert (finished.cases, finished.failed) == (10, 5)
-    assert (seen[-1].done, seen[-1].failed, seen[-1].left) == (5, 5, 0)
+    assert (finished.cases, finished.failed) == (14, 7)
+    assert (seen[-1].done, seen[-1].failed, seen[-1].left) == (7, 7, 0)
 
 
 def variant(path, rates, limit="2 s"):

@@ -48,6 +48,12 @@ def test_a_flipped_bit_of_a_dataset_is_found_and_the_next_run_collects_it_anew(r
     assert verify(results).damaged == []
 
 
+def test_the_folder_of_a_study_stands_for_that_of_all(results):
+    assert verify(results / "first").checked == verify(results).checked
+    with pytest.raises(StoreError, match="no results folder"):
+        verify(results.parent)
+
+
 @pytest.mark.parametrize("flipped", ["dataset.nc", "dataset.nc.sha256"])
 def test_a_run_does_not_trust_a_dataset_without_its_hash(results, flipped):
     flip(results / "first" / flipped, 20)

@@ -5,6 +5,7 @@ The rate of the well says how `flow` behaves, the viscosity how long it takes in
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import time
@@ -19,6 +20,7 @@ from model.scene import Scene
 
 SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
+NO_NUMBER, HOLDS_ON = -7.0, -8.0
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,10 @@ def flow(
         raise ZeroDivisionError("one over nothing")
     if rate == NO_MEMORY:
         raise MemoryError
+    if rate == NO_NUMBER:
+        rate = np.nan
+    if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs
+        ctypes.PyDLL(None).sleep(3600)
     time.sleep(viscosity)
     base = packed.x.mean() + (0.0 if loaded is None else loaded.force.mean())
     return Flowed(base + rate * np.log1p(np.asarray(times)))
