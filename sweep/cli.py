@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = _foreseen(error)
         if status is None:
             raise
-        _say(f"demflow: {error}")
+        _say(f"demflow: {_told(error)}")
         return status
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -72,6 +72,13 @@ def _foreseen(error: Exception) -> int | None:
     if results is not None and isinstance(error, results.ResultsError):
         return WRONG
     return None
+
+
+def _told(error: Exception) -> str:
+    if not isinstance(error, OSError):
+        return str(error)
+    where = "" if error.filename is None else f"{error.filename}: "
+    return f"{where}{error.strerror or error}; what was finished is kept"
 
 
 def run(options: argparse.Namespace) -> int:

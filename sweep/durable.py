@@ -11,7 +11,7 @@ import ctypes
 import os
 import sys
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from typing import IO, Any
@@ -29,8 +29,10 @@ def write_durably(path: Path, content: bytes) -> None:
 def write_all_durably(files: Mapping[Path, bytes]) -> None:
     """Write files durably, all of them in two flushes.
 
-    Raises OSError; no half file is left then, and files may be old or new.
+    Raises OSError that names a file; no half file is left then, and files may be old or new.
     """
+    if not files:
+        return
     asides = {path: path.with_name(f"{path.name}.{os.getpid()}.partial") for path in files}
     try:
         with ExitStack() as stack:
@@ -40,12 +42,14 @@ def write_all_durably(files: Mapping[Path, bytes]) -> None:
                 folders.update(_made(path.parent))
                 # unbuffered: a full disk is told here, not when the file is closed
                 file = stack.enter_context(open(asides[path], "wb", buffering=0))
-                _write(file, content)
+                with naming(path):
+                    _write(file, content)
                 opened.append(file)
-            _flush_files(opened)
-            for path, aside in asides.items():
-                os.replace(aside, path)
-            _flush_folders(folders, opened)
+            with naming(path):  # the last of them stands for all
+                _flush_files(opened)
+                for path, aside in asides.items():
+                    os.replace(aside, path)
+                _flush_folders(folders, opened)
     except BaseException:
         with suppress(OSError):
             for aside in asides.values():
@@ -56,7 +60,19 @@ def write_all_durably(files: Mapping[Path, bytes]) -> None:
 def rename_durably(aside: Path, path: Path) -> None:
     """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
     os.replace(aside, path)
-    _flush_folder(path.parent)
+    with naming(path):
+        _flush_folder(path.parent)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Let an OSError that names no file, as those of writing and flushing, name this one."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
 
 def _made(folder: Path) -> Iterator[Path]:

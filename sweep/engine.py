@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import functools
 import hashlib
 import itertools
 from collections.abc import Callable, Iterator
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -197,12 +198,13 @@ def run_study(
         raise ValueError(f"workers is {workers}; at least one is needed")
     prepared = prepare(path, results, smoke=smoke, table=table, create=True)
     root = prepared.store.root.parent
-    with FolderLock(root, f"demflow run {prepared.study.name}"):
-        prepared.store.remove_partial()
-        prepared.folder.mkdir(exist_ok=True)
-        for leftover in prepared.folder.glob("*.partial"):
-            leftover.unlink(missing_ok=True)
-        _keep(prepared, UNFINISHED_FILE)
+    with ExitStack() as held:
+        with _nothing_run_yet(prepared):
+            held.enter_context(FolderLock(root, f"demflow run {prepared.study.name}"))
+            prepared.folder.mkdir(exist_ok=True)
+            _remove_partial(prepared)
+            _keep(prepared, UNFINISHED_FILE)
+        held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
         executed, damaged = None, []
         for _ in range(ROUNDS):
             done = _execute(prepared, workers, scheduler, retry_failed, force, progress, table)
@@ -215,7 +217,7 @@ def run_study(
         else:
             raise StoreError(f"{prepared.store.root} does not keep what is written: {damaged[-1]}")
         if executed and executed.deaths:
-            prepared.store.remove_partial()
+            _remove_partial(prepared)
         (prepared.folder / UNFINISHED_FILE).unlink(missing_ok=True)
         finished = Finished(
             folder=prepared.folder,
@@ -347,6 +349,24 @@ def _execute(
             costs.write(store)
 
 
+@contextmanager
+def _nothing_run_yet(prepared: Prepared) -> Iterator[None]:
+    """Say of a folder that cannot be written that it is the wrong one."""
+    try:
+        yield
+    except OSError as error:
+        where = error.filename or prepared.folder
+        raise StoreError(f"{where} cannot be written: {error.strerror or error}") from error
+
+
+def _remove_partial(prepared: Prepared) -> None:
+    """Remove half files that interrupted or killed processes have left. Only under the lock."""
+    prepared.store.remove_partial()
+    for left in prepared.folder.glob("*.partial"):
+        with suppress(OSError):
+            left.unlink()
+
+
 def _keep(prepared: Prepared, name: str) -> None:
     """Keep the text of the study in its folder, so that others know what it refers to."""
     path, text = prepared.folder / name, prepared.study.text.encode()
@@ -376,5 +396,11 @@ def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
         return verdicts, False, []
     # figures and report belong to one dataset: without a report they are drawn again
     (prepared.folder / REPORT_FILE).unlink(missing_ok=True)
-    damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
+    try:
+        damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
+    except RuntimeError as error:  # the netCDF library's way to say that it cannot write
+        if type(error) is not RuntimeError:
+            raise
+        why = f"netCDF cannot write it ({error}); most often the disk is full"
+        raise OSError(errno.EIO, why, str(path)) from error
     return verdicts, True, damaged

@@ -328,7 +328,10 @@ class _Execution:
             why = f"{type(error).__name__}: {error}"
             self._refuse(address, f"the worker {address} cannot run demflow: {why}")
         elif isinstance(error, OSError):
-            raise RunError(f"the store cannot be used by a worker: {error}") from error
+            where = error.filename or self.store.root
+            raise RunError(
+                f"{where}: {error.strerror or error}; what was finished is kept"
+            ) from error
         else:
             raise RunError(f"a worker broke: {type(error).__name__}: {error}") from error
 

@@ -42,7 +42,8 @@ class FolderLock:
     ) -> None:
         if self._file is not None:
             # removed while it is held: whoever waits on this file finds it gone, and looks again
-            self.path.unlink(missing_ok=True)
+            with suppress(OSError):  # what stays is no lock once it is closed
+                self.path.unlink()
             os.close(self._file)
             self._file = None
 
@@ -56,8 +57,9 @@ class FolderLock:
             if not self._still_there(file):
                 os.close(file)
                 return None
-            os.ftruncate(file, 0)
-            os.write(file, json.dumps(self._who()).encode())
+            with suppress(OSError):  # the lock holds without a name in it
+                os.ftruncate(file, 0)
+                os.write(file, json.dumps(self._who()).encode())
         except BaseException:
             os.close(file)
             raise

@@ -20,6 +20,7 @@ import dask
 import psutil
 from distributed import Client, Future, LocalCluster
 from distributed.core import Status as ServerStatus
+from distributed.security import Security
 
 START_ATTEMPTS = 6  # to start a first worker, should it be killed meanwhile
 CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
@@ -194,7 +195,13 @@ class RemotePool:
         self._config = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
         self.scheduler = scheduler
         try:
-            self.client = Client(scheduler, timeout=CONNECT_SECONDS, set_as_default=False)
+            security = _security(scheduler)
+            self.client = Client(
+                scheduler, timeout=CONNECT_SECONDS, set_as_default=False, security=security
+            )
+        except SchedulerError:
+            self._config.__exit__(None, None, None)
+            raise
         except (OSError, ValueError, TypeError) as error:
             self._config.__exit__(None, None, None)
             raise SchedulerError(f"no Dask scheduler answers at {scheduler}: {error}") from error
@@ -260,6 +267,30 @@ def _cluster() -> LocalCluster:
         memory_limit=0,  # watched here, so that it can be said who took it
         silence_logs=logging.CRITICAL,
     )
+
+
+def _security(scheduler: str) -> Security:
+    """Certificates from Dask's configuration. Raises SchedulerError where they are needed."""
+    security = Security()
+    if not scheduler.startswith("tls://"):
+        return security
+    names = ("tls_ca_file", "tls_client_cert", "tls_client_key")
+    files = {n: getattr(security, n) for n in names}
+    missing = [n for n, file in files.items() if file is None]
+    if not missing:
+        try:
+            security.get_connection_args("client")
+            return security
+        except OSError as error:  # also of a file that is no certificate
+            given = ", ".join(map(str, files.values()))
+            raise SchedulerError(
+                f"{scheduler}: the certificates cannot be used: {error} ({given})"
+            ) from error
+    wanted = ", ".join(
+        "DASK_DISTRIBUTED__COMM__TLS__" + n[4:].upper().replace("CLIENT_", "CLIENT__")
+        for n in missing
+    )
+    raise SchedulerError(f"{scheduler} needs certificates: set {wanted}, or Dask's configuration")
 
 
 def _submit(

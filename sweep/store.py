@@ -265,14 +265,18 @@ class Store:
         """Remove what interrupted writers left; return how many. Only under the folder's lock."""
         count = 0
         for path in self.root.glob("**/*.partial"):
-            path.unlink(missing_ok=True)
-            count += 1
+            with suppress(OSError):  # it is in nobody's way
+                path.unlink()
+                count += 1
         return count
 
 
 def put_aside(path: Path) -> None:
-    """Rename a damaged file out of the way; it stays for whoever wants to look."""
-    with suppress(FileNotFoundError):
+    """Rename a damaged file out of the way; it stays for whoever wants to look.
+
+    Where that cannot be done it stays where it is, and is found damaged again.
+    """
+    with suppress(OSError):
         os.replace(path, path.with_name(path.name + ".damaged"))
 
 

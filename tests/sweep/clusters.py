@@ -27,15 +27,50 @@ class Cluster(NamedTuple):
     folder: Path
 
 
+class Certificate(NamedTuple):
+    """Files of a certificate that vouches for itself, and of its key."""
+
+    certificate: Path
+    key: Path
+
+    @property
+    def options(self) -> tuple[str, ...]:
+        """How `dask scheduler` and `dask worker` are told of it."""
+        own = ("--tls-cert", str(self.certificate), "--tls-key", str(self.key))
+        return ("--protocol", "tls", "--tls-ca-file", str(self.certificate), *own)
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """How the client is told of it."""
+        files = {"CA_FILE": self.certificate, "CLIENT__CERT": self.certificate}
+        files["CLIENT__KEY"] = self.key
+        return {f"DASK_DISTRIBUTED__COMM__TLS__{name}": str(file) for name, file in files.items()}
+
+
+def certificate(folder: Path) -> Certificate:
+    """Make a certificate for this machine, valid for a day."""
+    made = Certificate(folder / "certificate.pem", folder / "key.pem")
+    command = ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "1"]
+    command += ["-subj", "/CN=demflow", "-addext", "subjectAltName=IP:127.0.0.1"]
+    command += ["-out", str(made.certificate), "-keyout", str(made.key)]
+    subprocess.run(command, check=True, capture_output=True)
+    return made
+
+
 @contextmanager
-def dask_cluster(folder: Path, workers: int = 2) -> Iterator[Cluster]:
+def dask_cluster(
+    folder: Path, workers: int = 2, certificate: Certificate | None = None
+) -> Iterator[Cluster]:
     """Start `dask scheduler` and as many `dask worker`s, and end them all."""
     folder.mkdir()
     contact = folder / "contact.json"
+    secured = () if certificate is None else certificate.options
     with ExitStack() as stack:
-        scheduler = ("scheduler", *LOCAL, "--port", "0", "--scheduler-file", str(contact))
-        stack.enter_context(_process(folder / "scheduler", *scheduler))
-        worker = ("worker", *LOCAL, "--nthreads", "1", "--scheduler-file", str(contact))
+        scheduler = ("scheduler", *LOCAL, *secured, "--port", "0")
+        stack.enter_context(
+            _process(folder / "scheduler", *scheduler, "--scheduler-file", str(contact))
+        )
+        worker = ("worker", *LOCAL, *secured, "--nthreads", "1", "--scheduler-file", str(contact))
         started = [
             stack.enter_context(_process(folder / f"worker-{k}", *worker)) for k in range(workers)
         ]

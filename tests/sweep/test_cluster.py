@@ -16,7 +16,8 @@ from sweep.stages import Status
 from sweep.store import pack, unpack
 from sweep.worker import Job, Task, run_job
 from tests.sweep import toy_stages, toys
-from tests.sweep.clusters import dask_cluster, extra_worker
+from tests.sweep.clusters import certificate, dask_cluster, extra_worker
+from tests.sweep.processes import start
 from tests.sweep.test_engine import assert_same_bits
 
 RATES = (1.0, 2.0, 3.0, 4.0)
@@ -42,29 +43,59 @@ def test_a_cluster_gives_the_same_bits_and_keeps_no_product(cluster, tmp_path):
     assert list(folder.rglob("*.product")) == []
 
 
-def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
-    address, workers, _ = cluster
-    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(*RATES, 5.0), seconds=0.4)
-    calm = toys.run(path, tmp_path / "calm")
+def same_bits_though_a_worker_is_killed(folder, run, nanny) -> None:
+    path = toys.write_study(folder, seeds=(1,), stresses=(), rates=(*RATES, 5.0), seconds=0.4)
+    calm = toys.run(path, folder / "calm")
     killed = []
 
     def kill_one() -> None:
-        while not list(tmp_path.glob("stormy/store/*/*.product")):
+        while not list(folder.glob("stormy/store/*/*.product")):
             time.sleep(0.05)
-        family = psutil.Process(workers[0].pid).children(recursive=True)
+        family = psutil.Process(nanny.pid).children(recursive=True)
         victim = next(child for child in family if "spawn_main" in " ".join(child.cmdline()))
         killed.append(victim.pid)
         victim.kill()
 
-    killer = threading.Thread(target=kill_one)
+    killer = threading.Thread(target=kill_one, daemon=True)
     killer.start()
-    try:
-        stormy = toys.run(path, tmp_path / "stormy", scheduler=address)
-    finally:
-        killer.join()
+    run(path, folder / "stormy")
+    killer.join(5)
     assert killed
-    assert stormy.failed == 0
-    assert_same_bits(calm.folder, stormy.folder)
+    assert_same_bits(calm.folder, folder / "stormy" / "toy")
+
+
+def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
+    address, workers, _ = cluster
+
+    def run(path, results) -> None:
+        assert toys.run(path, results, scheduler=address).failed == 0
+
+    same_bits_though_a_worker_is_killed(tmp_path, run, workers[0])
+
+
+def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
+    made = certificate(tmp_path)
+    with dask_cluster(tmp_path / "processes", certificate=made) as (address, workers, _):
+        assert address.startswith("tls://127.0.0.1:")
+
+        def run(path, results) -> None:
+            status, _, told = start(
+                path, results, "--scheduler", address, **made.environment
+            ).finish(60)
+            assert status == 0, told
+
+        same_bits_though_a_worker_is_killed(tmp_path, run, workers[0])
+        path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+        stranger = start(path, tmp_path / "none", "--scheduler", address)
+        status, _, told = stranger.finish(60)
+        assert (status, len(told.splitlines())) == (2, 1)
+        assert f"{address} needs certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in told
+        lost = made._replace(key=tmp_path / "lost.pem").environment
+        status, _, told = start(path, tmp_path / "none", "--scheduler", address, **lost).finish(60)
+        assert (status, len(told.splitlines())) == (2, 1)
+        assert str(tmp_path / "lost.pem") in told
+        plain = start(path, tmp_path / "none", "--scheduler", address.replace("tls", "tcp"))
+        assert plain.finish(60)[0] == 2
 
 
 def test_a_damaged_parent_is_computed_again_before_it_travels(cluster, tmp_path):

@@ -1,0 +1,226 @@
+"""No space, an I/O error, permission refused, at every call that changes the disk, in turn.
+
+A layer between the run and the disk (`fail_at.c`, loaded with LD_PRELOAD into the run and its
+workers, so that it sees what netCDF and HDF5 write as well) counts all calls that create, write,
+flush, rename or remove something in the results folder. Each of them fails in a run of its own:
+in a new folder; in one that holds the results of an earlier, smaller study of the same name; and,
+with every product stored, while the dataset is made anew. Each run must end with the status that
+its outcome has and one line that names the place; all that was there must be whole; the next run
+must complete with the same bits.
+
+It needs Linux and a C compiler (`cc`), which nothing else of demflow does.
+"""
+
+from __future__ import annotations
+
+import errno
+import json
+import mmap
+import os
+import shutil
+import struct
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from sweep.results import open_results
+from sweep.upkeep import verify
+from tests.benchmarks.ran import results_folder
+from tests.benchmarks.result import Result
+from tests.benchmarks.same_bits_any_workers import differing
+from tests.sweep import toys
+from tests.sweep.processes import ROOT, leftovers, products
+
+LAYER = Path(__file__).parent / "fail_at.c"
+STATE = struct.Struct("llll")  # calls so far, the one that fails, its error, whether it lasts
+KINDS = {
+    "no space": (errno.ENOSPC, True),  # from then on, for all that needs space
+    "I/O error": (errno.EIO, False),
+    "permission refused": (errno.EACCES, False),
+}
+
+# one process that has imported everything, from which each run is forked
+_RUNS = """
+import os, sys
+from tests.sweep import toys
+import netCDF4, psutil, sweep.collect, sweep.execute
+for line in sys.stdin:
+    study, results, log = line.split()
+    pid = os.fork()
+    if pid == 0:
+        sys.stdin.close()
+        with open(log, "w") as out:
+            os.dup2(out.fileno(), 1)
+            os.dup2(out.fileno(), 2)
+        status = 99
+        try:
+            status = toys.demflow("run", study, "--results", results, "--workers", "1")
+        except BaseException:
+            import traceback
+            traceback.print_exc()
+        sys.stdout.flush(); sys.stderr.flush()
+        os._exit(status)
+    print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
+"""
+
+
+@dataclass
+class Disk:
+    """Runs below a folder of which chosen calls fail."""
+
+    folder: Path
+    state: mmap.mmap
+    process: subprocess.Popen[str]
+
+    def run(self, study: Path, turn: int = 0, error: int = 0, lasting: bool = False) -> int:
+        """Run a study while the call number `turn` fails; return the exit status."""
+        self.state[:] = bytes(len(self.state))
+        self.state[: STATE.size] = STATE.pack(0, turn, error, lasting)
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        print(study, self.results, self.log, file=self.process.stdin, flush=True)
+        return int(self.process.stdout.readline())
+
+    @property
+    def results(self) -> Path:
+        """Where runs write, and calls fail."""
+        return self.folder / "results"
+
+    @property
+    def log(self) -> Path:
+        """What the last run said."""
+        return self.folder / "log"
+
+    @property
+    def calls(self) -> int:
+        """Calls that the last run made."""
+        return STATE.unpack_from(self.state)[0]
+
+    @property
+    def what(self) -> str:
+        """The call that failed, and its file."""
+        return bytes(self.state[STATE.size :]).partition(b"\0")[0].decode()
+
+
+def start(folder: Path) -> Disk | None:
+    """Compile the layer and start the process from which runs are forked; None: no compiler."""
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None or not sys.platform.startswith("linux"):
+        return None
+    library, shared = folder / "fail_at.so", folder / "state"
+    subprocess.run(
+        [compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(LAYER), "-ldl"], check=True
+    )
+    shared.write_bytes(bytes(STATE.size + 5000))
+    with open(shared, "r+b") as file:
+        state = mmap.mmap(file.fileno(), 0)
+    layer = {
+        "LD_PRELOAD": str(library),
+        "FAULT_STATE": str(shared),
+        "FAULT_ROOT": str(folder / "results"),
+    }
+    process = subprocess.Popen(
+        [sys.executable, "-c", _RUNS],
+        env={**os.environ, **layer, "PYTHONPATH": str(ROOT)},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    return Disk(folder, state, process)
+
+
+def run() -> Result:
+    """Let each call of a run fail in turn, and look what that did."""
+    folder = results_folder() / "faults"
+    folder.mkdir()
+    disk = start(folder)
+    if disk is None:
+        return Result("not run: it needs Linux and a C compiler", "0 faults", False)
+    lines: list[str] = []
+    small = toys.write_study(folder, seeds=(1,), stresses=(), rates=(1.0,))
+    earlier = folder / "earlier"
+    assert disk.run(small) == 0
+    disk.results.rename(earlier)
+    study = toys.write_study(folder, seeds=(1,), stresses=(), rates=(1.0, 2.0))
+    assert disk.run(study) == 0
+    calm = open_results(disk.results / "toy")
+    stored = folder / "stored"
+    shutil.copytree(disk.results, stored)
+    shutil.copytree(earlier / "toy", stored / "toy", dirs_exist_ok=True)
+    trials, described = 0, 0
+    kinds: Counter[str] = Counter()
+    starts = {"a new folder": None, "an earlier study": earlier, "all stored": stored}
+    for first, (name, before) in enumerate(starts.items()):
+        _reset(disk, before)
+        assert disk.run(study) == 0
+        calls, collecting = disk.calls, False
+        lines.append(f"{name}: {calls} calls")
+        described += 1
+        for turn in range(1, calls + 1):
+            for number, (kind, (error, lasting)) in enumerate(KINDS.items()):
+                if before is not stored and (collecting or (turn + first) % len(KINDS) != number):
+                    continue  # one kind in each of the first two; the last tries all, and datasets
+                _reset(disk, before)
+                kept = products(disk.results)
+                status = disk.run(study, turn, error, lasting)
+                what, trials = disk.what, trials + 1
+                if not what:
+                    kinds["not reached"] += 1  # workers answer in another order now and then
+                    continue
+                kinds[what.split()[0]] += 1
+                collecting = collecting or "/dataset.nc" in what
+                problems = [
+                    *said(disk, status, os.strerror(error)),
+                    *harm(disk.results, kept),
+                    *(() if status else outcome(disk.results, calm)),
+                ]
+                if (again := disk.run(study)) != 0:
+                    problems.append(f"the next run ends with {again}: {disk.log.read_text()}")
+                else:
+                    problems += outcome(disk.results, calm)
+                problems += [f"left: {path}" for path in leftovers(disk.results)]
+                lines += [f"{kind}, {what}: {problem}" for problem in problems]
+    disk.process.communicate()
+    faults = len(lines) - described
+    lines.append(f"{trials} faults: {json.dumps(dict(kinds))}")
+    shutil.rmtree(folder)
+    return Result(f"{faults} problems after {trials} faults", "0", faults == 0, "\n".join(lines))
+
+
+def _reset(disk: Disk, before: Path | None) -> None:
+    shutil.rmtree(disk.results, ignore_errors=True)
+    if before is not None:
+        shutil.copytree(before, disk.results)
+
+
+def said(disk: Disk, status: int, reason: str) -> list[str]:
+    """What is wrong with how a run ended and what it said."""
+    told = disk.log.read_text().strip()
+    if status == 0:  # what failed was not needed
+        return []
+    last = told.splitlines()[-1] if told else ""
+    clear = last.startswith("demflow: ") and str(disk.results) in last
+    clear = clear and (reason in last or "netCDF" in last)
+    if status not in (1, 2) or not clear or "Traceback" in told or "HDF5-DIAG" in told:
+        return [f"status {status}, and it says: {told}"]
+    if status == 2 and any(disk.results.glob("store/*/*.product")) and "cases done" in told:
+        return [f"status 2 though something was run: {told}"]
+    return []
+
+
+def harm(results: Path, kept: dict[str, Any]) -> list[str]:
+    """What is no longer whole."""
+    found = []
+    if (results / "store" / "FORMAT").exists():
+        found += [f"damaged: {path}: {what}" for path, what in verify(results).damaged]
+    there = products(results)
+    found += [f"changed: {name}" for name, file in kept.items() if there.get(name) != file]
+    return found
+
+
+def outcome(results: Path, calm: Any) -> list[str]:
+    """Where a dataset differs from that of an undisturbed run."""
+    return [f"{name} differs" for name in differing(calm, open_results(results / "toy"))]
