@@ -105,6 +105,9 @@ def run(options: argparse.Namespace) -> int:
     for message in finished.executed.refused if finished.executed else ():
         _say(f"not used: {message}")
     _say(_summary(finished))
+    if finished.changed:
+        kept = finished.folder / "study.yaml"
+        _say(f"{options.study} has changed meanwhile; the results are those of {kept}")
     if finished.failed:
         _say(f"why: demflow status {options.study}{_where(options)}")
     _tell_places(finished, options)

@@ -126,6 +126,7 @@ class Finished:
     figures: tuple[Path, ...] = ()
     report: Path | None = None
     damaged: list[str] = field(default_factory=list)
+    changed: bool = False  # whether the study file is no longer the one that was run
 
 
 def prepare(
@@ -202,6 +203,7 @@ def run_study(
         with _nothing_run_yet(prepared):
             held.enter_context(FolderLock(root, f"demflow run {prepared.study.name}"))
             prepared.folder.mkdir(exist_ok=True)
+            _check_own(prepared)
             _remove_partial(prepared)
             _keep(prepared, UNFINISHED_FILE)
         held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
@@ -227,6 +229,7 @@ def run_study(
             collected=collected,
             dataset=prepared.folder / DATASET_FILE,
             damaged=[*(executed.damaged if executed else ()), *damaged],
+            changed=_changed(prepared),
         )
         return draw(prepared, finished, again=collected) if figures else finished
 
@@ -357,6 +360,28 @@ def _nothing_run_yet(prepared: Prepared) -> Iterator[None]:
     except OSError as error:
         where = error.filename or prepared.folder
         raise StoreError(f"{where} cannot be written: {error.strerror or error}") from error
+
+
+def _check_own(prepared: Prepared) -> None:
+    """Raise StoreError where the folder of a study's results is used for something else."""
+    folder = prepared.folder
+    names = {path.name for path in folder.iterdir() if path.suffix != ".partial"}
+    own = {DATASET_FILE, REPORT_FILE, UNFINISHED_FILE, "figures"}
+    if names == {STUDY_FILE} and (folder / STUDY_FILE).read_bytes() == prepared.study.text.encode():
+        return
+    if names and not any(name.startswith(tuple(own)) for name in names):
+        raise StoreError(
+            f"{folder} holds files that are no results of demflow; "
+            "rename the study, or take another --results folder"
+        )
+
+
+def _changed(prepared: Prepared) -> bool:
+    """Whether the study file was changed, or is gone, since it was read."""
+    try:
+        return Path(prepared.study.path).read_bytes() != prepared.study.text.encode()
+    except OSError:
+        return True
 
 
 def _remove_partial(prepared: Prepared) -> None:

@@ -347,6 +347,9 @@ class _Execution:
                     return None
 
     def _settle(self, address: str, flight: _Flight, outcomes: list[Outcome]) -> None:
+        if not (self.pool.shares_store or self._accept(outcomes)):
+            self.held.pop(address, None)
+            outcomes = []  # computed again
         for outcome in outcomes:
             if outcome.lost is not None:
                 held = self.held.get(address, set())
@@ -355,17 +358,34 @@ class _Execution:
                 else:
                     self._lost(outcome)
                 continue
-            good = outcome.status is Status.DONE
-            if outcome.file:
-                kind = "product" if good else "failed"
-                self.store.accept(self.plan.runs[outcome.run].id, outcome.file, kind)
-            if good:
+            if outcome.status is Status.DONE:
                 self.report.computed += 1
                 self.schedule.done(outcome.run, outcome.seconds, outcome.stored, outcome.memory)
                 self.tally.finish(outcome.run, good=True)
             else:
                 self._fail(outcome.run)
         self.schedule.again(flight.bundle.runs)
+
+    def _accept(self, outcomes: list[Outcome]) -> bool:
+        """Store what a worker without a store sent; False where it did not arrive whole."""
+        files = {
+            self.plan.runs[o.run].id: ("product" if o.status is Status.DONE else "failed", o.file)
+            for o in outcomes
+            if o.file
+        }
+        try:
+            self.store.accept(files)
+        except DamagedError as error:
+            self._count_loss(outcomes[0].run, f"a product came damaged from a worker: {error}")
+            return False
+        return True
+
+    def _count_loss(self, run: int, message: str) -> None:
+        """Note a product that has to be computed again. Raises RunError if it happens often."""
+        self.losses[run] = self.losses.get(run, 0) + 1
+        if self.losses[run] > LOST_PRODUCTS:
+            raise RunError(f"{message}: again and again; it does not arrive, or is not kept")
+        self.report.damaged.append(message)
 
     def _fail(self, run: int) -> None:
         self.report.failed += 1
@@ -386,12 +406,7 @@ class _Execution:
         parents = [p for p in self.plan.runs[outcome.run].parents if p >= 0]
         parent = next(p for p in parents if self.plan.runs[p].id == outcome.lost)
         if self.schedule.is_done(parent):
-            self.losses[parent] = self.losses.get(parent, 0) + 1
-            if self.losses[parent] > LOST_PRODUCTS:
-                raise RunError(
-                    f"{outcome.message}: again and again; the disk does not keep what is written"
-                )
-            self.report.damaged.append(outcome.message)
+            self._count_loss(parent, outcome.message)
             self.schedule.lost(parent)
             self.tally.reopen(parent)
 

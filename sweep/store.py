@@ -183,13 +183,14 @@ class Store:
             raise DamagedError(f"{path}: {error}") from None
         return content
 
-    def accept(self, identity: str, content: bytes, kind: str = "product") -> None:
-        """Store a file that was packed elsewhere (or the record of a failure, kind "failed").
+    def accept(self, files: Mapping[str, tuple[str, bytes]]) -> None:
+        """Do as `keep` does with files that were packed elsewhere.
 
-        Raises DamagedError where it is not what was packed there, OSError.
+        Raises DamagedError where one is not what was packed there: then none is stored; OSError.
         """
-        _of(identity, unpack(content))
-        self.keep({identity: (kind, content)})
+        for identity, (_, content) in files.items():
+            _of(identity, unpack(content))
+        self.keep(files)
 
     def keep(self, files: Mapping[str, tuple[str, bytes]]) -> None:
         """Store packed files, kind and content by identity, in one flush. Raises OSError.

@@ -28,8 +28,8 @@ def run() -> Result:
     """Kill, look what is left, resume, compare."""
     folder = results_folder() / "killed_runs"
     folder.mkdir()
-    rates = tuple(float(k) for k in range(1, 13))
-    path = toys.write_study(folder, rates=rates, seconds=0.03)
+    rates = tuple(float(k) for k in range(1, 17))
+    path = toys.write_study(folder, rates=rates, seconds=0.05)
     begin = time.monotonic()
     status, out, _ = start(path, folder / "calm", "--json").finish()
     whole = time.monotonic() - begin

@@ -1,4 +1,4 @@
-"""A run listens on the loopback address alone."""
+"""A run listens on the loopback address alone; with a scheduler named, on nothing at all."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import psutil
 
 from tests.benchmarks.ran import STUDIES, results_folder
 from tests.benchmarks.result import Result
+from tests.sweep.clusters import dask_cluster
 
 LOOPBACK = ("127.", "::1")
 
@@ -30,11 +31,11 @@ def listening(pid: int) -> set[str]:
     return found
 
 
-def run() -> Result:
-    """Watch every listening socket of a run and its workers until it ends."""
+def watched(name: str, *options: str) -> tuple[set[str], int]:
+    """Addresses on which a run and its workers listen until it ends, and its exit status."""
     command = [sys.executable, "-m", "sweep.cli", "run", str(STUDIES / "quickstart.yaml")]
     run_process = subprocess.Popen(
-        [*command, "--workers", "2", "--results", str(results_folder() / "sockets")],
+        [*command, *options, "--results", str(results_folder() / f"sockets_{name}")],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -42,9 +43,18 @@ def run() -> Result:
     while run_process.poll() is None:
         seen |= listening(run_process.pid)
         time.sleep(0.05)
+    return seen, run_process.returncode
+
+
+def run() -> Result:
+    """Watch every listening socket of a run, its scheduler, dashboard and workers."""
+    seen, status = watched("local", "--workers", "2")
+    with dask_cluster(results_folder() / "sockets_cluster") as cluster:
+        there, status_there = watched("there", "--scheduler", cluster.address)
     beyond = {address for address in seen if not address.startswith(LOOPBACK)}
     return Result(
-        f"listened on {', '.join(sorted(seen)) or 'nothing'}",
-        "loopback only",
-        bool(seen) and not beyond and run_process.returncode == 0,
+        f"listened on {', '.join(sorted(seen)) or 'nothing'}; "
+        f"with a cluster named, on {', '.join(sorted(there)) or 'nothing'}",
+        "loopback only; nothing",
+        bool(seen) and not beyond and not there and status == status_there == 0,
     )

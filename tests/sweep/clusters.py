@@ -87,7 +87,7 @@ def extra_worker(address: str, folder: Path, *options: str) -> Iterator[subproce
     """Let one more `dask worker` join a scheduler while a `with` block runs."""
     with _process(folder, "worker", address, *LOCAL, *options) as started:
         end = time.monotonic() + PATIENCE
-        while not _has_worker(started):
+        while "Registered to" not in (folder / "log").read_text():
             if time.monotonic() > end:
                 raise TimeoutError((folder / "log").read_text())
             time.sleep(0.05)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import os
@@ -13,6 +14,7 @@ import pytest
 from sweep import cli
 from sweep.lock import FolderLock
 from sweep.progress import Progress, ProgressLine, duration, line, size
+from sweep.results import open_results
 from tests.sweep import toy_stages, toys
 
 
@@ -174,6 +176,54 @@ def test_wrong_places(good, tmp_path, capsys):
     assert "cannot be used" in capsys.readouterr().err
     assert toys.demflow("run", str(tmp_path / "absent.yaml")) == 2
     assert "absent.yaml" in capsys.readouterr().err
+
+
+def test_a_folder_of_something_else_is_left_alone(good, tmp_path, capsys):
+    path, _ = good
+    diary = tmp_path / "results" / "good" / "study.yaml"
+    diary.parent.mkdir(parents=True)
+    diary.write_text("dear diary")
+    assert toys.demflow("run", str(path), "--results", str(tmp_path / "results")) == 2
+    assert f"{diary.parent} holds files that are no results" in capsys.readouterr().err
+    assert diary.read_text() == "dear diary"
+
+
+@pytest.mark.parametrize("command", ["run", "plan", "status", "verify"])
+def test_a_store_of_a_newer_version_is_refused(good, tmp_path, capsys, command):
+    mark = tmp_path / "store" / "FORMAT"
+    mark.parent.mkdir()
+    mark.write_bytes(b"demflow9\n")
+    place = [str(good[0]), "--results", str(tmp_path)] if command != "verify" else [str(tmp_path)]
+    assert toys.demflow(command, *place) == 2
+    assert "made by another version of demflow (demflow9)" in capsys.readouterr().err
+    assert list(tmp_path.rglob("*")) == [mark.parent, mark]
+
+
+@pytest.mark.parametrize("place", ["mkdir", "open"])
+def test_a_folder_that_cannot_be_written_is_wrong_usage(good, tmp_path, monkeypatch, capsys, place):
+    def refuse(path, *_: object) -> None:
+        raise OSError(30, "Read-only file system", str(path))
+
+    (tmp_path / "results").mkdir()
+    monkeypatch.setattr(os, place, refuse)
+    status = toys.demflow("run", str(good[0]), "--results", str(tmp_path / "results"))
+    monkeypatch.undo()
+    (told,) = capsys.readouterr().err.splitlines()
+    assert status == 2
+    assert str(tmp_path / "results") in told
+    assert "Read-only file system" in told
+
+
+def test_a_study_that_changes_while_it_runs_is_told(tmp_path, capsys):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    text = path.read_text()
+    changed = functools.partial(path.write_text, text.replace("[1.0]", "[2.0]"))
+    finished = toys.run(path, tmp_path / "results", progress=lambda _: changed())
+    assert finished.changed
+    assert (finished.folder / "study.yaml").read_text() == text
+    assert open_results(finished.folder).rate.values == [1.0]
+    assert toys.demflow("status", str(path), "--results", str(tmp_path / "results")) == 0
+    assert "1 missing" in capsys.readouterr().out
 
 
 def test_schema_is_json(capsys):

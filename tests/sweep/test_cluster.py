@@ -13,7 +13,7 @@ import pytest
 from sweep import worker
 from sweep.pools import SchedulerError
 from sweep.stages import Status
-from sweep.store import pack, unpack
+from sweep.store import Store, pack, unpack
 from sweep.worker import Job, Task, run_job
 from tests.sweep import toy_stages, toys
 from tests.sweep.clusters import certificate, dask_cluster, extra_worker
@@ -110,6 +110,24 @@ def test_a_damaged_parent_is_computed_again_before_it_travels(cluster, tmp_path)
     assert finished.failed == 0
     assert len(finished.executed.damaged) == 1
     assert finished.executed.computed == 1 + 2  # the packing, flow and observer of the new rate
+
+
+def test_a_product_that_is_damaged_on_its_way_is_computed_again(cluster, tmp_path, monkeypatch):
+    address, _, _ = cluster
+    path = toys.write_study(tmp_path, seeds=(5,), stresses=(), rates=(1.0, 2.0))
+    accept, damages = Store.accept, []
+
+    def flip_once(store, files) -> None:
+        if not damages:
+            files = {i: (kind, content[:-1] + b"?") for i, (kind, content) in files.items()}
+            damages.append(len(files))
+        accept(store, files)
+
+    monkeypatch.setattr(Store, "accept", flip_once)
+    finished = toys.run(path, tmp_path / "results", scheduler=address)
+    assert damages
+    assert (finished.failed, finished.executed.computed) == (0, 6)
+    assert "came damaged from a worker" in finished.damaged[0]
 
 
 def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, capsys):
