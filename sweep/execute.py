@@ -342,9 +342,10 @@ class _Execution:
                 return flight.future.result(timeout=ANSWER_SECONDS)
             except (KilledWorker, CancelledError):
                 return None
-            except TimeoutError:  # on its way still, or lost with the worker
+            except OSError:  # on its way still (a TimeoutError), or lost with worker or scheduler
                 if address not in self.pool.addresses():
                     return None
+                time.sleep(TICK)
 
     def _settle(self, address: str, flight: _Flight, outcomes: list[Outcome]) -> None:
         if not (self.pool.shares_store or self._accept(outcomes)):

@@ -194,6 +194,8 @@ class RemotePool:
         # a parent product may be large, and is meant to travel
         self._config = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
         self.scheduler = scheduler
+        for name in ("distributed", "distributed.client", "distributed.batched"):
+            logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is said here
         try:
             security = _security(scheduler)
             self.client = Client(
@@ -227,8 +229,9 @@ class RemotePool:
         if time.monotonic() - self._asked > 1.0:
             try:
                 self._workers = dict(self.client.scheduler_info(n_workers=-1)["workers"])
-            except (OSError, TimeoutError) as error:
-                raise RunError(f"the scheduler {self.scheduler} answers no longer") from error
+            except (OSError, TimeoutError, KeyError) as error:  # KeyError: the client gave up
+                told = f"the scheduler {self.scheduler} answers no longer; what was finished is kept"
+                raise RunError(told) from error
             self._asked = time.monotonic()
         return self._workers
 

@@ -20,11 +20,12 @@ PATIENCE = 30.0  # s for all processes to stand
 
 
 class Cluster(NamedTuple):
-    """A scheduler's address, the processes of the workers, and the folder that holds all."""
+    """A scheduler's address, the processes, and the folder that holds all."""
 
     address: str
     workers: list[subprocess.Popen]
     folder: Path
+    scheduler: subprocess.Popen
 
 
 class Certificate(NamedTuple):
@@ -67,7 +68,7 @@ def dask_cluster(
     secured = () if certificate is None else certificate.options
     with ExitStack() as stack:
         scheduler = ("scheduler", *LOCAL, *secured, "--port", "0")
-        stack.enter_context(
+        main = stack.enter_context(
             _process(folder / "scheduler", *scheduler, "--scheduler-file", str(contact))
         )
         worker = ("worker", *LOCAL, *secured, "--nthreads", "1", "--scheduler-file", str(contact))
@@ -79,7 +80,7 @@ def dask_cluster(
             if time.monotonic() > end:
                 raise TimeoutError((folder / "scheduler" / "log").read_text())
             time.sleep(0.05)
-        yield Cluster(json.loads(contact.read_text())["address"], started, folder)
+        yield Cluster(json.loads(contact.read_text())["address"], started, folder, main)
 
 
 @contextmanager
@@ -99,8 +100,11 @@ def _written(contact: Path) -> bool:
 
 
 def _has_worker(nanny: subprocess.Popen) -> bool:
-    family = psutil.Process(nanny.pid).children(recursive=True)
-    return any("spawn_main" in " ".join(child.cmdline()) for child in family)
+    return any("spawn_main" in " ".join(child.cmdline()) for child in _children(nanny))
+
+
+def _children(process: subprocess.Popen) -> list[psutil.Process]:
+    return psutil.Process(process.pid).children(recursive=True)
 
 
 @contextmanager
@@ -114,7 +118,7 @@ def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen]:
     try:
         yield started
     finally:
-        family = psutil.Process(started.pid).children(recursive=True)
+        family = [] if started.poll() is not None else _children(started)
         started.terminate()
         try:
             started.wait(10)

@@ -11,13 +11,13 @@ import psutil
 import pytest
 
 from sweep import worker
-from sweep.pools import SchedulerError
+from sweep.pools import RunError, SchedulerError
 from sweep.stages import Status
 from sweep.store import Store, pack, unpack
 from sweep.worker import Job, Task, run_job
 from tests.sweep import toy_stages, toys
 from tests.sweep.clusters import certificate, dask_cluster, extra_worker
-from tests.sweep.processes import start
+from tests.sweep.processes import products, start
 from tests.sweep.test_engine import assert_same_bits
 
 RATES = (1.0, 2.0, 3.0, 4.0)
@@ -31,7 +31,7 @@ def cluster(tmp_path_factory):
 
 
 def test_a_cluster_gives_the_same_bits_and_keeps_no_product(cluster, tmp_path):
-    address, _, folder = cluster
+    address, folder = cluster.address, cluster.folder
     rates = (*RATES, toy_stages.RAISES, toy_stages.DIES)
     path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(5e6,), rates=rates)
     here = toys.run(path, tmp_path / "here")
@@ -65,7 +65,7 @@ def same_bits_though_a_worker_is_killed(folder, run, nanny) -> None:
 
 
 def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
-    address, workers, _ = cluster
+    address, workers = cluster.address, cluster.workers
 
     def run(path, results) -> None:
         assert toys.run(path, results, scheduler=address).failed == 0
@@ -75,7 +75,8 @@ def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
 
 def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
     made = certificate(tmp_path)
-    with dask_cluster(tmp_path / "processes", certificate=made) as (address, workers, _):
+    with dask_cluster(tmp_path / "processes", certificate=made) as cluster:
+        address, workers = cluster.address, cluster.workers
         assert address.startswith("tls://127.0.0.1:")
 
         def run(path, results) -> None:
@@ -98,8 +99,24 @@ def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
         assert plain.finish(60)[0] == 2
 
 
+def test_a_scheduler_that_dies_ends_the_run_and_what_was_finished_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.pools.CONNECT_SECONDS", 2)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES, seconds=0.5)
+    with dask_cluster(tmp_path / "processes", workers=1) as cluster:
+
+        def kill(_) -> None:
+            if products(tmp_path / "results"):
+                cluster.scheduler.kill()
+
+        with pytest.raises(RunError, match=f"{cluster.address} answers no longer"):
+            toys.run(path, tmp_path / "results", scheduler=cluster.address, progress=kill)
+    kept = products(tmp_path / "results")
+    finished = toys.run(path, tmp_path / "results")
+    assert (finished.failed, finished.executed.computed) == (0, 10 - len(kept))
+
+
 def test_a_damaged_parent_is_computed_again_before_it_travels(cluster, tmp_path):
-    address, _, _ = cluster
+    address = cluster.address
     path = toys.write_study(tmp_path, seeds=(3,), stresses=(), rates=(1.0,))
     toys.run(path, tmp_path / "results", scheduler=address)
     more = toys.write_study(tmp_path, name="more", seeds=(3,), stresses=(), rates=(1.0, 2.0))
@@ -113,7 +130,7 @@ def test_a_damaged_parent_is_computed_again_before_it_travels(cluster, tmp_path)
 
 
 def test_a_product_that_is_damaged_on_its_way_is_computed_again(cluster, tmp_path, monkeypatch):
-    address, _, _ = cluster
+    address = cluster.address
     path = toys.write_study(tmp_path, seeds=(5,), stresses=(), rates=(1.0, 2.0))
     accept, damages = Store.accept, []
 
@@ -131,7 +148,7 @@ def test_a_product_that_is_damaged_on_its_way_is_computed_again(cluster, tmp_pat
 
 
 def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, capsys):
-    address, _, _ = cluster
+    address = cluster.address
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
     own = worker.versions() | {"numpy": "0.1"}
     monkeypatch.setattr("sweep.execute.versions", lambda: own)
@@ -143,7 +160,7 @@ def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, 
 
 
 def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
-    address, _, _ = cluster
+    address = cluster.address
     (tmp_path / "only_here.py").write_text("from tests.sweep.toy_stages import STAGES")
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(toys, "TABLE", "only_here:STAGES")
@@ -153,7 +170,7 @@ def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
 
 
 def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(cluster, tmp_path):
-    address, _, folder = cluster
+    address, folder = cluster.address, cluster.folder
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(*RATES, 5.0), seconds=0.3)
     joined = ExitStack()
 
