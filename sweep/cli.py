@@ -1,8 +1,9 @@
 """The command `demflow`: run, check, plan, status, report, verify, clean, schema.
 
 Data go to stdout, messages and progress to stderr. Exit status: 0 all cases good, 1 some
-case failed (the rest is there), 2 wrong usage or invalid study (nothing was run), 130
-interrupted (what was finished is kept).
+case failed or the run could not go on, for want of disk or of workers (the rest is there), 2
+wrong usage, invalid study, or a results folder or scheduler that cannot be used (nothing was
+run), 130 interrupted (what was finished is kept).
 """
 
 from __future__ import annotations
@@ -370,7 +371,8 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="demflow",
         description="Parameter sweeps of flow in fractured rock: from a study file to a dataset.",
-        epilog="Exit status: 0 all cases good, 1 some failed, 2 wrong usage or invalid study, "
+        epilog="Exit status: 0 all cases good, 1 some failed or the disk or the workers did, "
+        "2 wrong usage, invalid study, unusable folder or scheduler (nothing was run), "
         "130 interrupted. What is finished is always kept.",
     )
     parser.add_argument("--version", action=_Version, help="show the version and exit")

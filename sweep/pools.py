@@ -230,8 +230,9 @@ class RemotePool:
             try:
                 self._workers = dict(self.client.scheduler_info(n_workers=-1)["workers"])
             except (OSError, TimeoutError, KeyError) as error:  # KeyError: the client gave up
-                told = f"the scheduler {self.scheduler} answers no longer; what was finished is kept"
-                raise RunError(told) from error
+                raise RunError(
+                    f"the scheduler {self.scheduler} answers no longer; what was finished is kept"
+                ) from error
             self._asked = time.monotonic()
         return self._workers
 
