@@ -10,6 +10,7 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
+from sweep.pools import RunError
 from sweep.results import open_results
 from sweep.stages import Status
 from tests.sweep import toy_stages, toys
@@ -197,3 +198,31 @@ def test_a_running_scheduler_can_be_used(tmp_path):
         finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
         assert len(cluster.scheduler.workers) == 1  # left as it was found
     assert (finished.cases, finished.failed) == (2, 1)
+
+
+SILENT = """
+import multiprocessing, pathlib, time
+from tests.sweep.toy_stages import STAGES
+flag = pathlib.Path(__file__).with_suffix(".flag")
+if multiprocessing.parent_process() and not flag.exists():
+    flag.touch()
+    time.sleep(3600)
+"""
+
+
+@pytest.mark.parametrize("patience", [1, 3])
+def test_a_worker_that_never_answers_is_ended_and_another_takes_its_place(
+    tmp_path, monkeypatch, patience
+):
+    (tmp_path / f"silent_{patience}.py").write_text(SILENT)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(toys, "TABLE", f"silent_{patience}:STAGES")
+    monkeypatch.setattr("sweep.execute.GREETING_SECONDS", 1.5)
+    monkeypatch.setattr("sweep.execute.GREETINGS", patience)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    if patience == 1:
+        with pytest.raises(RunError, match=r"1 workers did not answer within 1.5 s"):
+            toys.run(path, tmp_path / "results", workers=1)
+    else:
+        finished = toys.run(path, tmp_path / "results", workers=1)
+        assert (finished.failed, finished.executed.deaths) == (0, 1)
