@@ -38,6 +38,27 @@ class Packing(NamedTuple):
     steps: Array  # () time steps taken
 
 
+class UnitLoads(NamedTuple):
+    """Linear response of the packed, bonded grains to unit stresses, and the factor behind it.
+
+    In units of mean radius and k_n. m = 3 n + 2 unknowns: u_x, u_y and rotation of each grain,
+    then the outward displacements of the right and the top wall; see mechanics.stiffness.
+    """
+
+    base: Array  # (m,) displacement that balances the packed state
+    packed: Array  # (3,) stresses of the packed state
+    displacement: Array  # (3, m) by σ_xx, σ_yy, σ_xy = 1
+    shear_strain: Array  # () tilt of the walls by σ_xy = 1
+    wall_grain: Array  # (w,) grains at the walls left, right, bottom, top
+    wall_start: Array  # (5,) first of each wall
+    wall_share: Array  # (w,) part of the wall's shear traction that the grain carries
+    order: Array  # (m,) of elimination
+    start: Array  # (m + 1,) columns of L
+    row: Array  # (entries,) int32
+    lower: Array  # (entries,)
+    pivot: Array  # (m,)
+
+
 class StressState(NamedTuple):
     """Grains in equilibrium under the walls' stresses."""
 
@@ -53,7 +74,8 @@ class StressState(NamedTuple):
     wall_stress: Array  # (4,) Pa on the walls left, right, bottom, top
     unbalanced_ratio: Array  # () mean unbalanced force over mean contact force
     broken_bonds: Array  # ()
-    steps: Array  # () time steps taken
+    static: Array  # () 1 where the static solver found the state, 0 the explicit one
+    steps: Array  # () time steps taken, or corrections of the static solver
 
 
 class Network(NamedTuple):

@@ -99,6 +99,11 @@ CASE: dict[str, Quantity] = {
         "Pa", ("component",), "stress in the specimen, positive in compression"
     ),
     "unbalanced_ratio": Quantity("1", (), "mean unbalanced force over mean contact force"),
+    "broken_bonds": Quantity("1", (), "bonds that broke under the stress"),
+    "static_solver": Quantity("1", (), "1 where the static solver found the stress state, else 0"),
+    "mechanical_steps": Quantity(
+        "1", (), "time steps to the stress state, or corrections of the static solver"
+    ),
 }
 
 # Variables that the sweep adds to each case.

@@ -17,6 +17,7 @@ from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
 from model.flow.solvers import flow
 from model.mechanics.packing import pack
 from model.mechanics.stress import load as stress
+from model.mechanics.stress import unit_loads
 from model.network.apertures import open_pipes as open
 from model.network.domains import network
 from model.observe import (
@@ -28,7 +29,15 @@ from model.observe import (
     sites,
 )
 from model.permeability import permeability, unit_permeability
-from model.products import Apertures, Network, Packing, Permeability, Responses, StressState
+from model.products import (
+    Apertures,
+    Network,
+    Packing,
+    Permeability,
+    Responses,
+    StressState,
+    UnitLoads,
+)
 from model.region import Region, contains
 from model.scene import Scene
 
@@ -44,6 +53,7 @@ __all__ = [
     "permeability",
     "simulate",
     "stress",
+    "unit_loads",
 ]
 
 
@@ -99,6 +109,9 @@ def observe(
     if stress is not None:
         found["stress_achieved"] = stress.stress
         found["unbalanced_ratio"] = stress.unbalanced_ratio
+        found["broken_bonds"] = stress.broken_bonds
+        found["static_solver"] = stress.static
+        found["mechanical_steps"] = stress.steps
     if permeability is not None:
         found["permeability"] = permeability.tensor
     if responses is not None:
@@ -137,6 +150,11 @@ def _needs_permeability(scene: Scene) -> bool:
 
 def _observes_flows(scene: Scene) -> bool:
     return "boundary_flow" in scene.observe or any(w.pressure is not None for w in scene.wells)
+
+
+def _superposes(scene: Scene) -> bool:
+    stress = scene.stress
+    return stress is not None and scene.bonds is not None and stress.method != "explicit"
 
 
 def _always(scene: Scene) -> bool:
@@ -179,10 +197,23 @@ STAGES: tuple[Stage, ...] = (
         product=Packing,
     ),
     Stage(
-        name="stress",
-        run=stress,
+        name="unit_loads",
+        run=unit_loads,
         version=1,
         parents=("pack",),
+        reads={
+            "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
+            "friction": lambda s: s.grains.friction,
+            "bonds": lambda s: s.bonds and s.bonds.elastic,
+        },
+        wanted=_superposes,
+        product=UnitLoads,
+    ),
+    Stage(
+        name="stress",
+        run=stress,
+        version=2,
+        parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,

@@ -57,7 +57,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
 }
 DOORS = {  # outer library: the only rooms that may import it
     "numba": {"model.compile"},
-    "qdldl": {"model.flow.factor"},
+    "qdldl": {"model.flow.factor", "model.mechanics.stiffness"},
     "dask": {"sweep.pools"},
     "distributed": {"sweep.execute", "sweep.pools", "sweep.worker"},
     "netCDF4": {"sweep.collect", "sweep.results"},

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.mechanics import measures
+from model.mechanics import measures, static
 from model.mechanics.bonds import (
     INTACT,
     NO_BONDS,
@@ -31,7 +31,7 @@ from model.mechanics.grains import at_rest, scaled_mass
 from model.mechanics.neighbours import Pairs
 from model.mechanics.servo import Servo, setpoint
 from model.outcome import ModelError
-from model.products import Packing, StressState
+from model.products import Packing, StressState, UnitLoads
 from model.scene import Bonds, Stress
 
 INERTIAL_NUMBER = 5e-5
@@ -40,12 +40,24 @@ LEAST_START = 0.01  # of the target stress: where a path starts at least
 MODULUS = 0.5  # stress per strain that the pace assumes, over k_n
 DAMPING = 0.5  # local
 MOST_STEPS = 200_000
-REST = Stop(ratio=1e-3, stress=1e-3)
 PLASTIC_STRAIN = 0.01  # beyond twice the elastic one, at which a specimen counts as flowing
+
+
+def unit_loads(
+    packing: Packing, *, stiffness_ratio: float, friction: float, bonds: Bonds
+) -> UnitLoads:
+    """Linear response of the packed, bonded grains: what all their stress states share.
+
+    Parameters as for `load`; strengths and stiffness do not matter, k_n is the unit.
+    """
+    specimen = specimen_of(packing, 1.0, stiffness_ratio, friction, bonds)
+    pressure = float(packing.packing_pressure)
+    return static.response(specimen, np.array([pressure, pressure, 0.0]))
 
 
 def load(
     packing: Packing,
+    units: UnitLoads | None = None,
     *,
     normal_stiffness: float,
     stiffness_ratio: float,
@@ -57,6 +69,8 @@ def load(
 
     Parameters
     ----------
+    units : their linear response (`unit_loads`), with which the static solver tries first; the
+        explicit one takes over where a bond would break.
     packing : the packed state; its forces over k_n are scaled with the stiffness, shear forces
         beyond friction are cut.
     normal_stiffness : k_n of contacts, also with the walls, N/m per metre of depth.
@@ -71,18 +85,39 @@ def load(
         number of steps that is allowed for; the text says how far it came and what to try.
     """
     radius = float(packing.radius.mean())
+    wanted = np.array(stress.components) / normal_stiffness
     specimen = specimen_of(packing, normal_stiffness, stiffness_ratio, friction, bonds)
-    path = straight_path(
-        float(packing.packing_pressure), stress.xx / normal_stiffness, stress.yy / normal_stiffness
-    )
+    why = "there are no bonds"
+    if units is not None and stress.method != "explicit":
+        found = static.equilibrium(specimen, units, wanted, stress.tolerance)
+        if found.reached:
+            specimen.steps = found.corrections
+            return _product(specimen, packing, radius, normal_stiffness, is_static=True)
+        why = found.why
+        specimen = specimen_of(packing, normal_stiffness, stiffness_ratio, friction, bonds)
+    if stress.method == "static":
+        raise ModelError(
+            f"the static solver does not reach these stresses: {why}; try stress.method auto, "
+            "stronger bonds or smaller stresses"
+        )
+    if wanted[2] != 0.0:
+        raise ModelError(
+            "a stress at an angle to the walls needs grains that stay bonded (the static solver "
+            f"finds it), but {why}; try stronger bonds, smaller stresses or no stress.angle"
+        )
+    path = straight_path(float(packing.packing_pressure), float(wanted[0]), float(wanted[1]))
     slowest = path.pace * np.sqrt(min(path.start_xx, path.start_yy, path.target_xx, path.target_yy))
     steps = int(min(MOST_STEPS, 30_000 + 2.0 / slowest))
     way = max(abs(path.target_xx - path.start_xx), abs(path.target_yy - path.start_yy))
-    stop = REST._replace(strain=PLASTIC_STRAIN + 2.0 * way / MODULUS)
+    stop = Stop(
+        ratio=stress.tolerance,
+        stress=stress.tolerance,
+        strain=PLASTIC_STRAIN + 2.0 * way / MODULUS,
+    )
     reason = specimen.relax(path, stop, damping=DAMPING, steps=steps)
     if reason != AT_REST:
         raise ModelError(_why(specimen, path, reason, normal_stiffness, friction, steps))
-    return _product(specimen, packing, radius, normal_stiffness)
+    return _product(specimen, packing, radius, normal_stiffness, is_static=False)
 
 
 def specimen_of(
@@ -177,10 +212,15 @@ def _why(
 
 
 def _product(
-    specimen: Specimen, packing: Packing, unit: float, normal_stiffness: float
+    specimen: Specimen, packing: Packing, unit: float, normal_stiffness: float, *, is_static: bool
 ) -> StressState:
     """The state in SI units, at the place of the packing."""
     grains, box, sums, bonds = specimen.grains, specimen.box, specimen.sums, specimen.bonds
+    if is_static:  # its left and bottom walls stood
+        shift_x, shift_y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
+        grains.x[:] -= shift_x
+        grains.y[:] -= shift_y
+        box -= np.array([shift_x, shift_x, shift_y, shift_y])
     centre = 0.5 * np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]])
     a, b = measures.listed(specimen.pairs)
     overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
@@ -212,6 +252,7 @@ def _product(
         wall_stress=normal_stiffness * walls,
         unbalanced_ratio=np.array(specimen.run.ratio),
         broken_bonds=np.array(np.count_nonzero(bonds.state != INTACT)),
+        static=np.array(int(is_static)),
         steps=np.array(specimen.steps),
     )
 

@@ -103,6 +103,13 @@ class Scene:
             problems.append(
                 ("stress", f"an unbonded {self.grains.packing} lattice cannot be loaded; add bonds")
             )
+        if self.stress is not None and self.bonds is None:
+            if self.stress.method == "static":
+                what = "static solves bonded grains; add bonds, or take explicit"
+                problems.append(("stress.method", what))
+            if self.stress.components[2] != 0.0:
+                what = "unbonded grains are loaded along the axes only; add bonds"
+                problems.append(("stress.angle", what))
         if self.bonds is not None and self.stress is None:
             problems.append(("bonds", "bonds act only where the scene names a stress"))
         if self.matrix.half_force is not None and self.stress is None:

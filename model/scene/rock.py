@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 from model.parameters import SceneError, check_fields, parameter
 
@@ -91,13 +92,45 @@ class Bonds:
     def __post_init__(self) -> None:
         check_fields(self)
 
+    @property
+    def elastic(self) -> Bonds:
+        """The same cement without its strengths."""
+        return replace(self, tensile_strength=0.0, shear_strength=0.0)
+
 
 @dataclass(frozen=True, slots=True)
 class Stress:
-    """Principal stresses that the walls apply, positive in compression."""
+    """Principal stresses that the walls apply, positive in compression, and how rest is found.
+
+    With an angle, `xx` acts along that direction and `yy` across it.
+    """
 
     xx: float = parameter("Pa", above=0, help="stress on the left and right walls")
     yy: float = parameter("Pa", above=0, help="stress on the bottom and top walls")
+    angle: float = parameter(
+        "rad", default=0.0, help="direction of the principal stress xx, from the x axis"
+    )
+    method: str = parameter(
+        default="auto",
+        choices=("auto", "static", "explicit"),
+        help="auto takes static for bonded grains, explicit where bonds break or there are none",
+    )
+    tolerance: float = parameter(
+        default=1e-3,
+        at_least=1e-8,
+        at_most=0.1,
+        help="mean unbalanced over mean contact force, relative error of the stresses",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+    @property
+    def components(self) -> tuple[float, float, float]:
+        """Stresses xx, yy, xy along the axes, Pa."""
+        mean, half = 0.5 * (self.xx + self.yy), 0.5 * (self.xx - self.yy)
+        turn = 2.0 * self.angle
+        along, shear = half * math.cos(turn), half * math.sin(turn)
+        if abs(shear) < 1e-12 * mean:  # quarter turns, in round numbers
+            shear = 0.0
+        return mean + along, mean - along, shear

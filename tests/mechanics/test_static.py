@@ -1,0 +1,168 @@
+"""The static solver: its stiffness, its states against the explicit solver, its handing over."""
+
+import numpy as np
+import pytest
+
+from model.mechanics import static
+from model.mechanics.contacts import contact_forces
+from model.mechanics.moduli import elastic_moduli
+from model.mechanics.stiffness import factorise, matrix, solve
+from model.mechanics.stress import load, specimen_of, unit_loads
+from model.outcome import ModelError
+from model.scene import Bonds, SceneError, Stress
+from tests.mechanics.rocks import net_forces, packed
+
+KN = 124e9
+STRONG = {
+    kind: Bonds(kind=kind, tensile_strength=1e9, shear_strength=1e9)
+    for kind in ("contact", "parallel")
+}
+
+
+def responses(rock, bonds, friction=0.5):
+    return unit_loads(rock, stiffness_ratio=2.5, friction=friction, bonds=bonds.elastic)
+
+
+def loaded(rock, units, bonds, friction=0.5, **stress):
+    return load(
+        rock,
+        units,
+        normal_stiffness=KN,
+        stiffness_ratio=2.5,
+        friction=friction,
+        bonds=bonds,
+        stress=Stress(**stress),
+    )
+
+
+@pytest.mark.parametrize("kind", ["contact", "parallel"])
+def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
+    """At grains without force the law of the explicit solver has no other first-order term."""
+    rock = packed(None, kind="hexagonal", count=30)
+    specimen = specimen_of(rock, 1.0, 2.5, 1e9, STRONG[kind])
+    grains, n = specimen.grains, len(rock.x)
+    grains.x[:] *= 1.0 - 1e-7  # pressed, so that contacts of parallel bonds act both ways
+    grains.y[:] *= 1.0 - 1e-7
+    specimen.bonds.length[:] = 2.0 * (1.0 - 1e-7)
+    found = matrix(grains, static.contacts_of(specimen), specimen.bonds, specimen.law)
+    rng = np.random.default_rng(1)
+    u = 1e-9 * rng.standard_normal((n, 3))
+
+    def forces(sign: float) -> np.ndarray:
+        specimen.pairs.shear[:] = specimen.bonds.shear[:] = specimen.bonds.moment[:] = 0.0
+        x, y = grains.x.copy(), grains.y.copy()
+        grains.x[:], grains.y[:] = x + sign * u[:, 0], y + sign * u[:, 1]
+        grains.vx[:], grains.vy[:], grains.spin[:] = sign * u.T
+        contact_forces(
+            grains, specimen.pairs, specimen.bonds, specimen.law, static.FAR, 1.0, 0.0, 0.0
+        )
+        grains.x[:], grains.y[:] = x, y
+        return np.column_stack([grains.fx, grains.fy, grains.torque])
+
+    inside = np.ones(n, bool)
+    for held in static.contacts_of(specimen).walls:
+        inside[held] = False
+    linear = -(found @ np.r_[u.ravel(), 0.0, 0.0])[:-2].reshape(n, 3)
+    true = 0.5 * (forces(1.0) - forces(-1.0))
+    np.testing.assert_allclose(true[inside], linear[inside], atol=1e-5 * np.abs(linear).max())
+
+
+def test_factor_solves() -> None:
+    rock = packed(count=100)
+    specimen = specimen_of(rock, 1.0, 2.5, 0.5, STRONG["parallel"])
+    stiffness = matrix(specimen.grains, static.contacts_of(specimen), specimen.bonds, specimen.law)
+    wanted = np.random.default_rng(2).standard_normal(stiffness.shape[0])
+    found = solve(factorise(stiffness), stiffness @ wanted)
+    np.testing.assert_allclose(stiffness @ found, stiffness @ wanted, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", ["contact", "parallel"])
+@pytest.mark.parametrize(("xx", "yy"), [(30, 25), (40, 25)])
+def test_both_solvers_find_the_same_state(kind: str, xx: float, yy: float) -> None:
+    rock, bonds = packed(), STRONG[kind]
+    units = responses(rock, bonds)
+    stress = {"xx": xx * 1e6, "yy": yy * 1e6, "tolerance": 1e-4}
+    one = loaded(rock, units, bonds, method="static", **stress)
+    other = loaded(rock, units, bonds, method="explicit", **stress)
+    assert int(one.static) == 1
+    assert int(other.static) == 0
+    n = len(rock.x)
+    forces = []
+    for state in (one, other):
+        glued = state.bonded
+        order = state.contact_a[glued] * n + state.contact_b[glued]
+        np.testing.assert_array_equal(order, rock.contact_a * n + rock.contact_b)
+        forces.append(np.r_[state.normal_force[glued], state.shear_force[glued]])
+    assert np.linalg.norm(forces[0] - forces[1]) <= 0.01 * np.linalg.norm(forces[1])
+    np.testing.assert_allclose(one.wall_stress, 1e6 * np.array([xx, xx, yy, yy]), rtol=3e-4)
+    np.testing.assert_allclose(one.stress, other.stress, rtol=2e-3, atol=2e-3 * xx * 1e6)
+    force, torque = net_forces(one, rock.radius, KN)
+    mean = np.hypot(one.normal_force, one.shear_force).mean()
+    assert np.hypot(*force.T).mean() <= 2e-4 * mean
+    assert float(one.unbalanced_ratio) <= 1e-4
+    np.testing.assert_allclose(one.box.sum(), other.box.sum(), atol=1e-3 * rock.radius.mean())
+
+
+def test_residual_can_be_brought_to_round_off() -> None:
+    rock, bonds = packed(), STRONG["parallel"]
+    units = responses(rock, bonds, friction=1e9)
+    stress = {"xx": 26e6, "yy": 25e6, "tolerance": 1e-8, "method": "static"}
+    state = loaded(rock, units, bonds, friction=1e9, **stress)
+    assert float(state.unbalanced_ratio) <= 1e-8
+
+
+@pytest.mark.parametrize("angle", [0.4, -0.4, np.pi / 4, 2.0])
+def test_stress_at_an_angle_turns_the_tensor(angle: float) -> None:
+    rock, bonds = packed(), STRONG["parallel"]
+    units = responses(rock, bonds)
+    straight = loaded(rock, units, bonds, xx=26e6, yy=26e6)
+    state = loaded(rock, units, bonds, xx=28e6, yy=24e6, angle=angle)
+    assert int(state.static) == 1
+    wanted = np.array([26 + 2 * np.cos(2 * angle), 26 - 2 * np.cos(2 * angle)]) * 1e6
+    np.testing.assert_allclose(state.wall_stress, np.repeat(wanted, 2), rtol=2e-3)
+    np.testing.assert_allclose(state.stress[:2], wanted, rtol=0.01)
+    # what shear the frictionless walls of the box hold by themselves stays
+    added = state.stress[2] - straight.stress[2]
+    assert added == pytest.approx(2e6 * np.sin(2 * angle), abs=0.1e6)
+
+
+def test_a_bond_that_would_break_hands_over_to_the_explicit_solver() -> None:
+    rock = packed()
+    weak = Bonds(kind="parallel", tensile_strength=4e6, shear_strength=4e6)
+    units = responses(rock, weak)
+    state = loaded(rock, units, weak, xx=40e6, yy=20e6)
+    assert int(state.static) == 0
+    assert int(state.broken_bonds) > 0
+    with pytest.raises(ModelError, match="would break"):
+        loaded(rock, units, weak, xx=40e6, yy=20e6, method="static")
+    with pytest.raises(ModelError, match="angle"):
+        loaded(rock, units, weak, xx=40e6, yy=20e6, angle=0.3)
+
+
+def test_same_state_whatever_was_solved_before() -> None:
+    rock, bonds = packed(), STRONG["parallel"]
+    units = responses(rock, bonds)
+    first = loaded(rock, units, bonds, xx=30e6, yy=20e6)
+    loaded(rock, units, bonds, xx=20e6, yy=30e6)
+    for one, two in zip(first, loaded(rock, units, bonds, xx=30e6, yy=20e6), strict=True):
+        np.testing.assert_array_equal(one, two)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5, 10.0])
+@pytest.mark.parametrize("kind", ["contact", "parallel"])
+def test_hexagonal_lattice_has_its_closed_form_moduli(kind: str, ratio: float) -> None:
+    rock = packed(None, kind="hexagonal", count=200)
+    found = elastic_moduli(rock, stiffness_ratio=ratio, friction=0.5, bonds=STRONG[kind])
+    kn = 1.0 if kind == "contact" else 1.5  # cement: E_c 2 R / (2 R) = k_n / 2
+    ks = kn / ratio
+    assert found.youngs_modulus == pytest.approx(
+        2 * np.sqrt(3) * kn * (kn + ks) / (3 * kn + ks), rel=1e-6
+    )
+    assert found.poissons_ratio == pytest.approx((kn - ks) / (3 * kn + ks), abs=1e-6)
+    np.testing.assert_allclose(found.stiffness, found.stiffness.T, atol=1e-7)
+
+
+def test_contradictions_are_told() -> None:
+    with pytest.raises(SceneError, match="method"):
+        Stress(xx=1e6, yy=1e6, method="magic")
+    assert Stress(xx=2e6, yy=1e6, angle=np.pi / 2).components == pytest.approx((1e6, 2e6, 0.0))
