@@ -1,6 +1,6 @@
 """Load a specimen in Yade by walls that move at a constant speed; run by `grain_forces.py`.
 
-    yade -n -x -j1 yade_load.py IN.npz OUT.npz
+    CASE=IN.npz RESULT=OUT.npz yade -n -x -j1 yade_load.py
 
 Lengths in mean radii, forces in k_n times the mean radius. IN holds the grains (x, y, radius),
 their contacts with shear forces (a, b, shear), the walls before and after (box, box_end), the
