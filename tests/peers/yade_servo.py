@@ -40,7 +40,7 @@ O.materials.append(
     FrictMat(young=1.0, poisson=0.4, frictionAngle=math.atan(float(case["friction"])), density=1.0)
 )
 mass = 0.0
-for x, y, radius in zip(case["x"], case["y"], case["radius"]):
+for x, y, radius in zip(case["x"], case["y"], case["radius"], strict=True):
     body = utils.sphere((x, y, 0.5 * DEPTH), radius)
     body.state.blockedDOFs = "zXY"
     O.bodies.append(body)
