@@ -18,3 +18,7 @@ class Status(IntEnum):
 
 class ModelError(RuntimeError):
     """A stage could not reach its result. The text says why and what to try."""
+
+
+class OutOfMemory(ModelError):
+    """Something would not fit into memory; it was not begun."""

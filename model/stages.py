@@ -236,7 +236,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="calibrate",
         run=calibrate,
-        version=1,
+        version=2,
         parents=("network",),
         reads={},
         wanted=_needs_permeability,
@@ -259,7 +259,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="measure",
         run=measure,
-        version=1,
+        version=2,
         parents=("network", "open"),
         reads={"viscosity": lambda s: s.fluid.viscosity},
         wanted=lambda s: "permeability" in s.observe,

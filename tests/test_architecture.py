@@ -13,6 +13,7 @@ MODEL = (
     ("model.region",),
     ("model.scene",),
     ("model.outcome", "model.compile", "model.products", "model.transient"),
+    ("model.memory",),
     ("model.quantities",),
     ("model.mechanics",),
     ("model.network",),
@@ -57,7 +58,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
 }
 DOORS = {  # outer library: the only rooms that may import it
     "numba": {"model.compile"},
-    "qdldl": {"model.flow.factor", "model.mechanics.stiffness"},
+    "qdldl": {"model.mechanics.stiffness"},
     "dask": {"sweep.pools"},
     "distributed": {"sweep.execute", "sweep.pools", "sweep.worker"},
     "netCDF4": {"sweep.collect", "sweep.results"},

@@ -92,8 +92,7 @@ class Ladder:
         self.symbolic: Symbolic = analyse(system.n, system.edge_i, system.edge_j)
         self.made = 0
         self._kept: dict[int, Factor] = {}
-        size = 8 * (len(self.symbolic.row) + system.n + 1)
-        self._most = max(4, CACHE_BYTES // size)
+        self._most = max(4, CACHE_BYTES // max(1, self.symbolic.factor_bytes))
 
     @staticmethod
     def rung(step: float) -> int:
