@@ -268,7 +268,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         run=flow,
-        version=2,
+        version=3,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,

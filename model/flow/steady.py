@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
-from model.flow.factor import analyse, factorise, solve
-from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative_residual
+from model.flow.balance import steady_flow
+from model.flow.factor import analyse, factorise
+from model.flow.problem import Answer, Problem, empty_answer, fill_map
 from model.flow.system import without_outlet
 from model.outcome import ModelError
 
@@ -13,9 +12,11 @@ from model.outcome import ModelError
 def steady(problem: Problem) -> Answer:
     """Solve G p = f for a unit of each active source; the one lag is infinity.
 
+    The residual is the largest imbalance of a pore over the flow through it.
+
     Raises `ModelError` where some pore is connected to no fixed pressure.
     """
-    system = problem.system
+    system, records = problem.system, problem.records
     if without_outlet(system):
         raise ModelError(
             "no steady state: a well feeds pores that reach no fixed pressure; give a boundary "
@@ -24,11 +25,13 @@ def steady(problem: Problem) -> Answer:
     symbolic = analyse(system.n, system.edge_i, system.edge_j)
     factor = factorise(symbolic, system.edge_g, system.excess)
     answer = empty_answer(problem)
-    residual = 0.0
+    flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+    residual, work = 0.0, 0
     for k in problem.active_sources:
-        rhs = system.source(k)
-        p = solve(factor, rhs)
-        answer.output[k, 0] = problem.records.rows @ p + problem.records.direct[k]
-        answer.pressure[k] = fill_map(problem, k, p[None])
-        residual = max(residual, relative_residual(system, rhs, np.zeros(system.n), p))
-    return answer._replace(residual=residual, work=int(problem.active.sum()))
+        found = steady_flow(system, factor, k)
+        answer.output[k, 0] = records.rows @ found.pressure + records.direct[k]
+        answer.output[k, 0, flows] = found.inflow(system, k)
+        answer.pressure[k] = fill_map(problem, k, found.pressure[None])
+        residual = max(residual, found.imbalance)
+        work += 1 + found.refinements
+    return answer._replace(residual=residual, work=work)

@@ -1,0 +1,155 @@
+"""Steady flow at any contrast: every pressure, flow and pore against rational arithmetic."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from model.flow.balance import steady_flow
+from model.flow.factor import analyse, factorise
+from model.flow.system import System
+from model.network.apertures import open_pipes
+from model.network.domains import network
+from model.region import Rectangle
+from model.scene import Matrix, Trace, Well
+from tests.flow.test_factor import eliminate, random_graph
+from tests.reservoirs import Reservoir
+from tests.rocks import random_graph as random_rock
+
+
+def system_of(n, i, j, g, node, source, fixed_g) -> System:
+    """Pores between two fixed pressures; the last unknown is a well at a rate."""
+    none = np.empty(0, dtype=np.int64)
+    return System(
+        domain=np.arange(n - 1),
+        n=n,
+        storage=np.append(np.ones(n - 1), 0.0),
+        edge_i=i,
+        edge_j=j,
+        edge_g=g,
+        fixed_node=node,
+        fixed_source=source,
+        fixed_g=fixed_g,
+        short_a=none,
+        short_b=none,
+        short_g=np.empty(0),
+        sides=("left", "right"),
+        pressure_wells=(),
+        rate_wells=(0,),
+        node_of_domain=np.arange(n - 1),
+        source_of_domain=np.full(n - 1, -1),
+        isolated=0,
+    )
+
+
+def random_system(seed, strong=1e12, n=36) -> System:
+    """A connected graph, a part of its edges far stronger than the others."""
+    rng = np.random.default_rng(seed)
+    i, j = random_graph(rng, n, n)
+    g = rng.uniform(0.5, 2, len(i)) * np.where(rng.random(len(i)) < 0.5, strong, 1.0)
+    node = rng.choice(n - 1, 6, replace=False)
+    return system_of(n, i, j, g, node, np.array([0, 0, 0, 1, 1, 1]), rng.uniform(0.5, 2, 6))
+
+
+def exact_pressure(system: System, source: int) -> list[Fraction]:
+    """All unknowns for a unit of the source, in fractions."""
+    n = system.n
+    matrix = [[Fraction(0)] * n for _ in range(n)]
+    rhs = [Fraction(0)] * n
+    for a, b, g in zip(
+        system.edge_i.tolist(), system.edge_j.tolist(), system.edge_g.tolist(), strict=True
+    ):
+        for one, other in ((a, b), (b, a)):
+            matrix[one][one] += Fraction(g)
+            matrix[one][other] -= Fraction(g)
+    for a, k, g in zip(
+        system.fixed_node.tolist(),
+        system.fixed_source.tolist(),
+        system.fixed_g.tolist(),
+        strict=True,
+    ):
+        matrix[a][a] += Fraction(g)
+        rhs[a] += Fraction(g) * (k == source)
+    if source == 2:
+        rhs[n - 1] = Fraction(-1)
+    return eliminate(matrix, rhs)
+
+
+@pytest.mark.parametrize("source", [0, 1, 2])
+@pytest.mark.parametrize("strong", [1.0, 1e-12, 1e6, 1e12, 1e15])
+def test_every_pressure_and_flow_is_right(strong, source):
+    for seed in range(3):
+        system = random_system(seed, strong)
+        factor = factorise(
+            analyse(system.n, system.edge_i, system.edge_j), system.edge_g, system.excess
+        )
+        found = steady_flow(system, factor, source)
+        exact = exact_pressure(system, source)
+        pressure = np.array([float(p) for p in exact])
+        np.testing.assert_allclose(found.pressure, pressure, rtol=1e-14)
+        edge = [
+            float(Fraction(g) * (exact[a] - exact[b]))
+            for a, b, g in zip(
+                system.edge_i.tolist(), system.edge_j.tolist(), system.edge_g.tolist(), strict=True
+            )
+        ]
+        inflow = np.zeros(2)
+        for a, k, g in zip(
+            system.fixed_node.tolist(),
+            system.fixed_source.tolist(),
+            system.fixed_g.tolist(),
+            strict=True,
+        ):
+            inflow[k] += float(Fraction(g) * ((k == source) - exact[a]))
+        whole = np.abs(inflow).max()
+        np.testing.assert_allclose(found.edge, edge, rtol=1e-11, atol=1e-15 * whole)
+        np.testing.assert_allclose(found.inflow(system, source), inflow, rtol=1e-13)
+        assert found.imbalance < 1e-12
+
+
+def test_like_conductances_need_no_refinement():
+    system = random_system(1, strong=1.0)
+    factor = factorise(
+        analyse(system.n, system.edge_i, system.edge_j), system.edge_g, system.excess
+    )
+    assert steady_flow(system, factor, 0).refinements == 0
+
+
+def test_a_pressure_without_a_sink_moves_nothing():
+    """One fixed pressure alone: the pores take it, and nothing flows."""
+    system = random_system(2)._replace(fixed_source=np.zeros(6, dtype=np.int64))
+    factor = factorise(
+        analyse(system.n, system.edge_i, system.edge_j), system.edge_g, system.excess
+    )
+    found = steady_flow(system, factor, 0)
+    np.testing.assert_allclose(found.pressure, 1.0, rtol=1e-15)
+    assert abs(found.inflow(system, 0)[0]) < 1e-15
+    assert found.imbalance < 1e-9
+
+
+@pytest.mark.parametrize("kind", ["fracture", "barrier"])
+@pytest.mark.parametrize("contrast", [1e9, 1e12, 1e14])
+def test_a_rock_balances_at_any_contrast(kind, contrast):
+    """As a user sees it: flows of the boundaries and of the well, balance and residual."""
+    region = Rectangle(2.0, 2.0)
+    line = {"name": kind, "start": (-0.7, -0.4), "end": (0.6, 0.7)}
+    if kind == "fracture":
+        fracture = Trace(**line, aperture=1e-5 * contrast ** (1 / 3), pore_storage="fracture")
+    else:
+        fracture = Trace(**line, transmissibility_multiplier=1 / contrast)
+    packing = random_rock(1.1, 900, 4)
+    net = network(packing, region=region)
+    opened = open_pipes(
+        net,
+        None,
+        None,
+        region=region,
+        matrix=Matrix(aperture=1e-5),
+        fractures=(fracture,),
+        viscosity=1e-3,
+    )
+    rock = Reservoir(region, net, opened, 1e9)
+    well = Well(name="well", at=(0.0, 0.02), radius=0.1, rate=1e-6)
+    seen = rock.observed((well,), (("left", 2e6), ("right", 1e6), ("top", 1.5e6)), method="steady")
+    assert seen["mass_balance_error"] < 1e-14
+    assert seen["residual"] < 1e-12
