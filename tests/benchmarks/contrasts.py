@@ -1,0 +1,91 @@
+"""Rock with a fracture or a barrier of any contrast across it, and an independent reference."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.flow.system import System
+from model.network.apertures import open_pipes
+from model.network.domains import network
+from model.products import Network
+from model.region import Rectangle
+from model.scene import Matrix, Trace, Well
+from tests.diffusion import DOMAINS_PER_GRAIN
+from tests.reservoirs import Reservoir
+from tests.rocks import random_graph
+
+REGION = Rectangle(2.0, 2.0)
+WELL = Well(name="well", at=(0.05, 0.02), radius=0.02, rate=1e-6)
+SIDES = (("left", 2e6), ("right", 1e6))
+
+
+def pores(domains: int, seed: int = 1) -> Network:
+    """Random plane pores in a box, about so many of them."""
+    packing = random_graph(1.1, round(domains / DOMAINS_PER_GRAIN), seed)
+    return network(packing._replace(radius=0.5 * packing.radius), region=REGION)
+
+
+def cut(rock: Network, kind: str, contrast: float) -> Reservoir:
+    """The pores with a fracture through the well, or a barrier beside it."""
+    matrix = 1e-5
+    if kind == "fracture":
+        line = Trace(
+            name=kind,
+            start=(-0.7, -0.3),
+            end=(0.6, 0.5),
+            aperture=matrix * contrast ** (1 / 3),
+            pore_storage="fracture",
+        )
+    else:
+        line = Trace(
+            name=kind, start=(0.4, -1.0), end=(0.6, 1.0), transmissibility_multiplier=1 / contrast
+        )
+    opened = open_pipes(
+        rock,
+        None,
+        None,
+        region=REGION,
+        matrix=Matrix(aperture=matrix),
+        fractures=(line,),
+        viscosity=1e-3,
+    )
+    return Reservoir(REGION, rock, opened, 1e9)
+
+
+def reference(system: System, rhs: np.ndarray) -> np.ndarray:
+    """Pressure (n,) in extended precision: dense Gauss elimination without subtraction.
+
+    Pores are eliminated as they are numbered, their edges and excesses in `longdouble`.
+    """
+    n = system.n
+    edge = np.zeros((n, n), dtype=np.longdouble)
+    np.add.at(edge, (system.edge_i, system.edge_j), system.edge_g)
+    edge = edge + edge.T
+    excess = np.zeros(n, dtype=np.longdouble)
+    np.add.at(excess, system.fixed_node, system.fixed_g)
+    x = rhs.astype(np.longdouble)
+    pivot = np.empty(n, dtype=np.longdouble)
+    for k in range(n):
+        later = np.flatnonzero(edge[k, k + 1 :]) + k + 1
+        pivot[k] = excess[k] + edge[k, later].sum()
+        part = edge[k, later] / pivot[k]
+        excess[later] += part * excess[k]
+        x[later] += part * x[k]
+        edge[np.ix_(later, later)] += np.outer(part, edge[k, later])
+        edge[later, later] = 0.0
+    for k in range(n - 1, -1, -1):
+        x[k] = (x[k] + edge[k, k + 1 :] @ x[k + 1 :]) / pivot[k]
+    return x
+
+
+def residual(system: System, rhs: np.ndarray, p: np.ndarray, rest: np.ndarray) -> np.ndarray:
+    """What does not balance in each unknown, from flows along edges in extended precision, (n,)."""
+    p, rest = p.astype(np.longdouble), rest.astype(np.longdouble)
+    i, j = system.edge_i, system.edge_j
+    flow = system.edge_g * ((p[i] - p[j]) + (rest[i] - rest[j]))
+    net = rhs.astype(np.longdouble)
+    np.subtract.at(net, i, flow)
+    np.add.at(net, j, flow)
+    node = system.fixed_node
+    np.subtract.at(net, node, system.fixed_g * (p[node] + rest[node]))
+    return net
