@@ -69,6 +69,14 @@ class StressState(NamedTuple):
     normal_force: Array  # (c,) N per metre of depth, compression positive
     shear_force: Array  # (c,) N per metre of depth
     bonded: Array  # (c,) bool
+    joint_gap: Array  # (c,) m: opening of the smooth joint there, NaN where there is none
+    crack_x: Array  # (k,) m: where bonds and joint contacts broke, in the order of breaking
+    crack_y: Array  # (k,) m
+    crack_mode: Array  # (k,) 1 in tension, 2 in shear
+    crack_step: Array  # (k,) time step
+    crack_strain_xx: Array  # (k,) strain of the box by then, extension positive
+    crack_strain_yy: Array  # (k,)
+    idle_joints: Array  # () joint traces that no contact crosses
     box: Array  # (4,) m: walls xmin, xmax, ymin, ymax
     stress: Array  # (3,) Pa: xx, yy, xy in the volume, compression positive
     wall_stress: Array  # (4,) Pa on the walls left, right, bottom, top

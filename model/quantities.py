@@ -104,6 +104,10 @@ CASE: dict[str, Quantity] = {
     "mechanical_steps": Quantity(
         "1", (), "time steps to the stress state, or corrections of the static solver"
     ),
+    "tension_cracks": Quantity("1", (), "bonds and joint contacts that broke in tension"),
+    "shear_cracks": Quantity("1", (), "bonds and joint contacts that broke in shear"),
+    "joint_contacts": Quantity("1", (), "contacts across smooth joints"),
+    "idle_joints": Quantity("1", (), "joint traces that no contact crosses"),
 }
 
 # Variables that the sweep adds to each case.
@@ -147,4 +151,14 @@ MAPS: dict[str, Quantity] = {
     "shear_force": Quantity("N m-1", ("contact",), "shear contact force", ("grain_map",)),
     "grain_a": Quantity("1", ("contact",), "first grain of the contact", ("grain_map",)),
     "grain_b": Quantity("1", ("contact",), "second grain of the contact", ("grain_map",)),
+    "crack_x": Quantity("m", ("crack",), "x of the bond that broke", ("grain_map",)),
+    "crack_y": Quantity("m", ("crack",), "y of the bond that broke", ("grain_map",)),
+    "crack_mode": Quantity("1", ("crack",), "1 broken in tension, 2 in shear", ("grain_map",)),
+    "crack_step": Quantity("1", ("crack",), "time step of the breakage", ("grain_map",)),
+    "crack_strain_xx": Quantity(
+        "1", ("crack",), "strain xx of the box by then, extension positive", ("grain_map",)
+    ),
+    "crack_strain_yy": Quantity(
+        "1", ("crack",), "strain yy of the box by then, extension positive", ("grain_map",)
+    ),
 }

@@ -19,6 +19,7 @@ from model.mechanics.packing import pack
 from model.mechanics.stress import load as stress
 from model.mechanics.stress import unit_loads
 from model.network.apertures import open_pipes as open
+from model.network.apertures import pipe_gaps
 from model.network.domains import network
 from model.observe import (
     Controls,
@@ -38,8 +39,9 @@ from model.products import (
     StressState,
     UnitLoads,
 )
+from model.quantities import MAPS
 from model.region import Region, contains
-from model.scene import Scene
+from model.scene import Bonds, Scene, joint_lines
 
 __all__ = [
     "STAGES",
@@ -112,6 +114,10 @@ def observe(
         found["broken_bonds"] = stress.broken_bonds
         found["static_solver"] = stress.static
         found["mechanical_steps"] = stress.steps
+        found["tension_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 1))
+        found["shear_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 2))
+        found["joint_contacts"] = np.asarray(np.count_nonzero(~np.isnan(stress.joint_gap)))
+        found["idle_joints"] = stress.idle_joints
     if permeability is not None:
         found["permeability"] = permeability.tensor
     if responses is not None:
@@ -136,10 +142,8 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
     """Number of pipes of the region whose grains have parted under the stress."""
     if stress is None:
         return np.asarray(0)
-    a, b = network.pipe_grain_a, network.pipe_grain_b
-    gap = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b]) - network.pipe_length
     inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
-    return np.asarray(np.count_nonzero(inside & (gap > 0.0)))
+    return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
 
 
 def _needs_permeability(scene: Scene) -> bool:
@@ -153,8 +157,15 @@ def _observes_flows(scene: Scene) -> bool:
 
 
 def _superposes(scene: Scene) -> bool:
-    stress = scene.stress
-    return stress is not None and scene.bonds is not None and stress.method != "explicit"
+    stress, jointed = scene.stress, any(f.joint is not None for f in scene.fractures)
+    return bool(stress and scene.bonds and stress.method != "explicit" and not jointed)
+
+
+def _cement(scene: Scene) -> Bonds | None:
+    """The bonds as far as their elastic response tells, in units of k_n."""
+    if scene.bonds is None or scene.grains.contact_stiffness is None:
+        return scene.bonds
+    return scene.bonds.elastic(scene.grains.contact_stiffness)
 
 
 def _always(scene: Scene) -> bool:
@@ -182,7 +193,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         run=pack,
-        version=1,
+        version=2,
         parents=(),
         reads={
             "region": lambda s: s.region,
@@ -204,7 +215,7 @@ STAGES: tuple[Stage, ...] = (
         reads={
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
             "friction": lambda s: s.grains.friction,
-            "bonds": lambda s: s.bonds and s.bonds.elastic,
+            "bonds": _cement,
         },
         wanted=_superposes,
         product=UnitLoads,
@@ -212,13 +223,15 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         run=stress,
-        version=2,
+        version=3,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
             "friction": lambda s: s.grains.friction,
             "bonds": lambda s: s.bonds,
+            "joints": lambda s: joint_lines(s.fractures, s.region),
+            "seed": lambda s: s.grains.seed,
             "stress": lambda s: s.stress,
         },
         wanted=lambda s: s.stress is not None,
@@ -374,6 +387,8 @@ def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray
             "grain_a": held.contact_a,
             "grain_b": held.contact_b,
         }
+        if state is not None:
+            maps |= {name: getattr(state, name) for name in MAPS if name.startswith("crack_")}
     return maps
 
 

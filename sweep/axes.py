@@ -29,7 +29,7 @@ RESERVED = frozenset(
     for table in (quantities.CASE, quantities.SWEEP, quantities.COORDINATES)
     for key, quantity in table.items()
     for name in (key, *quantity.dimensions)
-) | {"status", "message", "domain", "pipe", "grain", "contact"}
+) | {"status", "message", "domain", "pipe", "grain", "contact", "crack"}
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,15 @@ from model.mechanics.bonds import (
     NO_BONDS,
     PARALLEL_BONDS,
     BondState,
-    contact_bond_state,
+    bond_state,
     load_parallel_bond,
+    note_crack,
 )
+from model.mechanics.energy import BREAKAGE, ELASTIC, SLIP
 from model.mechanics.grains import Array, Grains
-from model.mechanics.laws import normal_force, shear_force, slip, tangential_step
-from model.mechanics.neighbours import Pairs
+from model.mechanics.joints import JointState, joint_forces
+from model.mechanics.laws import normal_force, shear_force, slip, spent, tangential_step
+from model.mechanics.neighbours import JOINED, Pairs
 
 
 class ContactLaw(NamedTuple):
@@ -38,8 +41,9 @@ class ContactLaw(NamedTuple):
 class Sums(NamedTuple):
     """What one pass over the contacts adds up."""
 
-    contacts: int  # grains that touch or are bonded, and contacts with walls
+    contacts: int  # grains that touch, are bonded or joined, and contacts with walls
     force: float  # Σ |F| over them
+    unbalanced: float  # mean |F| over the grains on which anything acts
     virial_xx: float  # Σ F_x l_x with the actual branch vectors, compression positive
     virial_yy: float
     virial_xy: float
@@ -58,16 +62,22 @@ def contact_forces(
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,
+    joints: JointState,
     law: ContactLaw,
     box: Array,
+    step: int,
     dt: float,
     stretch_x: float,
     stretch_y: float,
+    ledger: Array | None,
 ) -> Sums:
     """Set the forces and torques of all grains, and advance what contacts and bonds remember.
 
-    The step that led to the present positions was `dt` times the velocities plus an affine
-    stretch; shear forces grow by it. Walls are frictionless and as stiff as the grains.
+    The step that led to the present positions, the one numbered `step`, was `dt` times the
+    velocities plus an affine stretch; shear forces grow by it. Walls are frictionless and as
+    stiff as the grains. A pair stands under its grain with the smaller index, so that the
+    forces on a grain are complete when its row is done: the virial is Σ x F over the grains,
+    less what the walls push. `ledger` counts energies where it is given.
     """
     x, y, radius = grains.x, grains.y, grains.radius
     vx, vy, spin = grains.vx, grains.vy, grains.spin
@@ -75,28 +85,36 @@ def contact_forces(
     kn, ks, mu = law.kn, law.ks, law.friction
     xmin, xmax, ymin, ymax = box[0], box[1], box[2], box[3]
     for i in range(x.size):
-        fx[i] = 0.0
-        fy[i] = 0.0
-        torque[i] = 0.0
-    contacts = 0
-    force = virial_xx = virial_yy = virial_xy = 0.0
+        fx[i] = grains.load_x[i]
+        fy[i] = grains.load_y[i]
+        torque[i] = grains.load_torque[i]
+    if ledger is not None:
+        ledger[ELASTIC] = 0.0
+    contacts, force = 0, 0.0
+    if joints.a.size > 0:
+        contacts, force = joint_forces(grains, joints, box, step, dt, stretch_x, stretch_y, ledger)
+    special = bonds.kind != NO_BONDS or joints.a.size > 0
+    virial_xx = virial_yy = virial_xy = 0.0
+    unbalanced, loaded = 0.0, 0
     left = right = bottom = top = 0.0
     n_left = n_right = n_bottom = n_top = 0
     for i in range(x.size):
         xi, yi, ri = x[i], y[i], radius[i]
         vxi, vyi, wi = vx[i], vy[i], spin[i]
-        fxi = fyi = ti = 0.0
+        fxi, fyi, ti = fx[i], fy[i], torque[i]
         for k in range(pairs.start[i], pairs.start[i + 1]):
-            j = pairs.other[k]
+            j = np.uint64(pairs.other[k])  # a signed index would be checked against zero
             dx, dy = x[j] - xi, y[j] - yi
             reach = ri + radius[j]
             d2 = dx * dx + dy * dy
             b = -1
-            if bonds.kind != NO_BONDS:
+            if special:
                 b = pairs.bond[k]
+                if b == JOINED:
+                    continue
                 if b >= 0 and bonds.state[b] != INTACT:
                     b = -1
-            if d2 >= reach * reach and b < 0:
+            if d2 >= reach * reach and b < 0 and ledger is None:
                 pairs.shear[k] = 0.0
                 continue
             d = np.sqrt(d2)
@@ -114,18 +132,48 @@ def contact_forces(
             fs = shear_force(pairs.shear[k], ks, us)
             glued = False
             if b >= 0 and bonds.kind == CONTACT_BONDS:
-                bonds.state[b] = contact_bond_state(bonds, b, fn, fs)
-                glued = bonds.state[b] == INTACT
+                state = bond_state(bonds, b, fn, fs, 0.0)
+                glued = state == INTACT
+                if not glued:
+                    bonds.state[b] = state
+                    note_crack(bonds.cracks, b, state, step, xi + li * nx, yi + li * ny, box)
             if not glued:
                 fn = max(fn, 0.0)
                 fs = slip(fs, mu * fn)
+            if ledger is not None:
+                lost = spent(pairs.shear[k], fs, ks, us)
+                if b >= 0 and bonds.kind == CONTACT_BONDS and not glued:
+                    if un < 0.0:  # the contact let a tension go
+                        dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
+                        lost += spent(kn * (un + dn), 0.0, kn, dn)
+                    ledger[BREAKAGE] += lost
+                else:
+                    ledger[SLIP] += lost
+                ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / max(ks, 1e-300)
             pairs.shear[k] = fs
+            if d2 >= reach * reach and b < 0:
+                continue
             if b >= 0 and bonds.kind == PARALLEL_BONDS:
-                bn, bs, moment = load_parallel_bond(bonds, b, d, us, dt * (spin[j] - wi))
+                shear, moment = bonds.shear[b], bonds.moment[b]
+                turn = dt * (spin[j] - wi)
+                bn, bs, bm = load_parallel_bond(bonds, b, d, us, turn)
+                state = bonds.state[b]
+                if state != INTACT:
+                    note_crack(bonds.cracks, b, state, step, xi + li * nx, yi + li * ny, box)
+                if ledger is not None:
+                    bkn, bks, bkr = bonds.kn[b], bonds.ks[b], bonds.kr[b]
+                    if state != INTACT:
+                        dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
+                        ledger[BREAKAGE] += (
+                            spent(bkn * (bonds.length[b] - d + dn), 0.0, bkn, dn)
+                            + spent(shear, 0.0, bks, us)
+                            + spent(moment, 0.0, bkr, turn)
+                        )
+                    ledger[ELASTIC] += 0.5 * (bn * bn / bkn + bs * bs / bks + bm * bm / bkr)
                 fn += bn
                 fs += bs
-                ti -= moment
-                torque[j] += moment
+                ti -= bm
+                torque[j] += bm
             fcx, fcy = fn * nx - fs * ny, fn * ny + fs * nx
             fxi -= fcx
             fyi -= fcy
@@ -135,39 +183,61 @@ def contact_forces(
             torque[j] -= lj * fs
             contacts += 1
             force += np.sqrt(fn * fn + fs * fs)
-            virial_xx += fcx * dx
-            virial_yy += fcy * dy
-            virial_xy += 0.5 * (fcx * dy + fcy * dx)
         if xi - ri < xmin:
             fn = normal_force(kn, xmin - (xi - ri))
             fxi += fn
             left += fn
             n_left += 1
-            virial_xx += fn * (xi - xmin)
+            virial_xy -= 0.5 * fn * yi
         if xi + ri > xmax:
             fn = normal_force(kn, xi + ri - xmax)
             fxi -= fn
             right += fn
             n_right += 1
-            virial_xx += fn * (xmax - xi)
+            virial_xy += 0.5 * fn * yi
         if yi - ri < ymin:
             fn = normal_force(kn, ymin - (yi - ri))
             fyi += fn
             bottom += fn
             n_bottom += 1
-            virial_yy += fn * (yi - ymin)
+            virial_xy -= 0.5 * fn * xi
         if yi + ri > ymax:
             fn = normal_force(kn, yi + ri - ymax)
             fyi -= fn
             top += fn
             n_top += 1
-            virial_yy += fn * (ymax - yi)
-        fx[i] += fxi
-        fy[i] += fyi
-        torque[i] += ti
+            virial_xy += 0.5 * fn * xi
+        fx[i], fy[i], torque[i] = fxi, fyi, ti
+        f2 = fxi * fxi + fyi * fyi
+        if f2 > 0.0:
+            unbalanced += np.sqrt(f2)
+            loaded += 1
+        fxi -= grains.load_x[i]
+        fyi -= grains.load_y[i]
+        virial_xx += xi * fxi
+        virial_yy += yi * fyi
+        virial_xy += 0.5 * (xi * fyi + yi * fxi)
+    if ledger is not None:
+        ledger[ELASTIC] += wall_energy(grains, kn, box)
     contacts += n_left + n_right + n_bottom + n_top
     force += left + right + bottom + top
+    if n_left + n_right > 0:
+        virial_xx += right * xmax - left * xmin
+    if n_bottom + n_top > 0:
+        virial_yy += top * ymax - bottom * ymin
     return Sums(
-        contacts, force, virial_xx, virial_yy, virial_xy,
+        contacts, force, unbalanced / max(loaded, 1), virial_xx, virial_yy, virial_xy,
         left, right, bottom, top, n_left, n_right, n_bottom, n_top,
     )  # fmt: skip
+
+
+@kernel
+def wall_energy(grains: Grains, kn: float, box: Array) -> float:
+    """Elastic energy of the contacts with walls."""
+    total = 0.0
+    for i in range(grains.x.size):
+        x, y, r = grains.x[i], grains.y[i], grains.radius[i]
+        for un in (box[0] - x + r, x + r - box[1], box[2] - y + r, y + r - box[3]):
+            if un > 0.0:
+                total += 0.5 * kn * un * un
+    return total

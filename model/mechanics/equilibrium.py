@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
 from model.compile import kernel
-from model.mechanics.bonds import BondState, no_bonds
+from model.mechanics.bonds import INTACT, BondState, no_bonds
 from model.mechanics.contacts import ContactLaw, Sums, contact_forces
+from model.mechanics.energy import (
+    KINETIC,
+    MOVED,
+    Energies,
+    energies,
+    half_work,
+    kinetic_energy,
+    new_ledger,
+)
 from model.mechanics.grains import Array, Grains
+from model.mechanics.joints import Joints, JointState, Trace, no_joints
 from model.mechanics.motion import (
     START_MIXING,
     Fire,
     damped_velocities,
     fire_velocities,
     move,
-    unbalanced_force,
 )
 from model.mechanics.neighbours import Pairs, find_pairs, largest_displacement, no_pairs
-from model.mechanics.servo import Servo, move_walls, setpoint, stress_error, stretches
+from model.mechanics.servo import STANDING, Servo, move_walls, setpoint, stress_error, stretches
+from model.outcome import ModelError
 
 TIME_STEP = 0.5  # √(m/k): stable for six contacts a grain (`grains.scaled_mass`); 0.6 is not
 SKIN = 0.3  # of the list of pairs, in mean radii
@@ -43,6 +54,7 @@ class Run(NamedTuple):
     """Where `advance` stands; handed from call to call."""
 
     fire: Fire
+    step: int  # steps taken since the specimen was made
     dt: float  # the last step, whose shear displacement the contacts have not seen; 0: none
     stretch_x: float  # strains of that step
     stretch_y: float
@@ -60,6 +72,7 @@ def advance(
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,
+    joints: JointState,
     law: ContactLaw,
     box: Array,
     servo: Servo,
@@ -70,19 +83,28 @@ def advance(
     slack: float,
     reach: float,
     steps: int,
+    ledger: Array | None,
 ) -> tuple[int, int, Run, Sums]:
     """Step until at rest, until the list of pairs may be stale, or until a bound is met.
 
     `damping` is the coefficient of local damping, negative for FIRE. `slack` is the distance
     that grains may move, and `reach` the one over which they may be stretched towards each
-    other, before the list is looked at again. Returns (how it ended, steps taken, run, sums).
+    other, before the list is looked at again. A `ledger` (see `energy`) is kept where it is
+    given, which local damping allows. Returns (how it ended, steps taken, run, sums).
     """
     fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
     since_x, since_y, strain_x, strain_y = run.since_x, run.since_y, run.strain_x, run.strain_y
     progress, ratio, error = run.progress, run.ratio, run.error
     taken = 0
     while True:
-        sums = contact_forces(grains, pairs, bonds, law, box, last, stretch_x, stretch_y)
+        sums = contact_forces(
+            grains, pairs, bonds, joints, law, box, run.step + taken,
+            last, stretch_x, stretch_y, ledger,
+        )  # fmt: skip
+        if ledger is not None:
+            walls = (sums.left, sums.right, sums.bottom, sums.top)
+            half_work(ledger, grains, walls, last, stretch_x, stretch_y, True)
+            ledger[KINETIC] = kinetic_energy(grains, dt)
         wanted_xx, wanted_yy = setpoint(servo, progress)
         if servo.gain > 0.0:
             error = stress_error(sums, box, wanted_xx, wanted_yy)
@@ -91,7 +113,7 @@ def advance(
                 progress = min(1.0, progress + servo.pace * np.sqrt(min(wanted_xx, wanted_yy)))
         elif error <= stop.stress:
             mean = sums.force / max(sums.contacts, 1)
-            if unbalanced_force(grains) <= stop.ratio * mean or mean < stop.force:
+            if sums.unbalanced <= stop.ratio * mean or mean < stop.force:
                 end = AT_REST
                 break
         if max(abs(strain_x), abs(strain_y)) > stop.strain:
@@ -100,6 +122,7 @@ def advance(
         if taken >= steps:
             end = OUT_OF_STEPS
             break
+        before = (box[0], box[1], box[2], box[3])
         if servo.gain > 0.0:
             stretch_x, stretch_y = stretches(servo, sums, box, wanted_xx, wanted_yy)
             move_walls(servo, sums, box, law.kn, wanted_xx, wanted_yy, stretch_x, stretch_y)
@@ -107,8 +130,12 @@ def advance(
             fire = fire_velocities(grains, fire, dt)
             last = fire.dt
         else:
-            damped_velocities(grains, dt, damping)
+            damped_velocities(grains, dt, damping, ledger)
             last = dt
+        if ledger is not None:
+            for side in range(4):
+                ledger[MOVED + side] = box[side] - before[side]
+            half_work(ledger, grains, walls, last, stretch_x, stretch_y, False)
         fastest = move(grains, last, stretch_x, stretch_y)
         since_x *= 1.0 + stretch_x
         since_y *= 1.0 + stretch_y
@@ -121,9 +148,9 @@ def advance(
             break
     if end != LIST_STALE:  # the contacts have seen the last step
         last = stretch_x = stretch_y = 0.0
-        ratio = unbalanced_force(grains) * sums.contacts / max(sums.force, 1e-300)
+        ratio = sums.unbalanced * sums.contacts / max(sums.force, 1e-300)
     run = Run(
-        fire, last, stretch_x, stretch_y, since_x, since_y, strain_x, strain_y,
+        fire, run.step + taken, last, stretch_x, stretch_y, since_x, since_y, strain_x, strain_y,
         progress, ratio, error,
     )  # fmt: skip
     return end, taken, run, sums
@@ -133,8 +160,9 @@ def advance(
 class Specimen:
     """Grains in a box of four walls, with all that a run remembers between calls.
 
-    `known` lists contacts that already have a shear force or a bond. The origin must lie
-    inside the box, for it is the fixed point of the servo's stretch.
+    `known` lists contacts that already have a shear force or a bond; `traces` are joints that
+    are made now. The origin must lie inside the box, for it is the fixed point of the servo's
+    stretch.
     """
 
     grains: Grains
@@ -144,24 +172,38 @@ class Specimen:
     dt: float = TIME_STEP
     skin: float = SKIN
     known: InitVar[Pairs | None] = None
+    traces: InitVar[Sequence[Trace]] = ()
     pairs: Pairs = field(init=False)
+    joints: JointState = field(init=False)
     run: Run = field(init=False)
     sums: Sums = field(init=False)
+    first_box: Array = field(init=False)  # as the specimen was made
     steps: int = field(init=False, default=0)
     rebuilds: int = field(init=False, default=0)
+    ledger: Array | None = field(init=False, default=None)
 
-    def __post_init__(self, known: Pairs | None) -> None:
+    def __post_init__(self, known: Pairs | None, traces: Sequence[Trace]) -> None:
         if known is None:
             known = no_pairs(len(self.grains.x))
         self.pairs = find_pairs(self.grains, self.skin, known)
+        self._traces = Joints(traces, self.grains)
+        self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, no_joints())
+        self.first_box = self.box.copy()
         fire = Fire(self.dt, START_MIXING, 0)
-        self.run = Run(fire, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, np.inf, np.inf)
+        self.run = Run(fire, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, np.inf, np.inf)
+
+    @property
+    def idle_traces(self) -> int:
+        """Joint traces that cross no contact: shorter than a grain, or outside the specimen."""
+        return int(np.count_nonzero(~self._traces.found))
 
     def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
         """Follow the servo's path until at rest; returns AT_REST, OUT_OF_STEPS or STRAINED.
 
         `damping` is the coefficient of local damping, or FIRE.
         """
+        if self.ledger is not None and damping < 0.0:
+            raise ValueError("an energy ledger needs local damping, FIRE takes energy in leaps")
         start = 0.0 if servo.gain > 0.0 else 1.0
         self.run = self.run._replace(
             strain_x=0.0, strain_y=0.0, progress=start, ratio=np.inf, error=np.inf
@@ -171,8 +213,8 @@ class Specimen:
         left = steps
         while True:
             end, taken, self.run, self.sums = advance(
-                self.grains, self.pairs, self.bonds, self.law, self.box, servo, stop, self.run,
-                self.dt, damping, slack, reach, left,
+                self.grains, self.pairs, self.bonds, self.joints, self.law, self.box, servo, stop,
+                self.run, self.dt, damping, slack, reach, left, self.ledger,
             )  # fmt: skip
             self.steps += taken
             left -= taken
@@ -180,15 +222,43 @@ class Specimen:
                 return int(end)
             slack = self._slack(reach)
             if slack < 0.1 * self.skin:
-                self.pairs = find_pairs(self.grains, self.skin, self.pairs)
-                self.run = self.run._replace(since_x=1.0, since_y=1.0)
-                self.rebuilds += 1
+                self._list_pairs()
                 slack = 0.5 * self.skin
 
     def stand_still(self) -> None:
         """Take all motion away."""
         for velocity in (self.grains.vx, self.grains.vy, self.grains.spin):
             velocity[:] = 0.0
+
+    def open_ledger(self) -> None:
+        """Count energies from here on; see `energy`."""
+        self.ledger = new_ledger()
+        never = Stop(ratio=0.0, stress=-1.0)
+        self.relax(STANDING, never, damping=0.0, steps=0)
+        self._opening = self.ledger.copy()
+
+    def energies(self) -> Energies:
+        """The balance since the ledger was opened."""
+        if self.ledger is None:
+            raise ValueError("the ledger was not opened")
+        return energies(self.ledger, self._opening)
+
+    def _list_pairs(self) -> None:
+        """Make the list of pairs anew; what contacts, bonds and joints remember stays.
+
+        Raises ModelError where an intact bond was stretched beyond the reach of the list.
+        """
+        old, state = self.pairs.bond, self.bonds.state
+        self.pairs = find_pairs(self.grains, self.skin, self.pairs)
+        lost = np.setdiff1d(old[old >= 0], self.pairs.bond[self.pairs.bond >= 0])
+        if np.any(state[lost] == INTACT):
+            raise ModelError(
+                f"a bond was stretched by more than {self.skin:g} mean radii and did not break; "
+                "try a bond modulus that is higher against the strengths"
+            )
+        self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, self.joints)
+        self.run = self.run._replace(since_x=1.0, since_y=1.0)
+        self.rebuilds += 1
 
     def _slack(self, reach: float) -> float:
         """How far grains may still move before the list of pairs can miss a contact."""

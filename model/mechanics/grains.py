@@ -21,14 +21,17 @@ class Grains(NamedTuple):
     spin: Array  # angular velocity, counter-clockwise
     radius: Array
     inverse_mass: Array  # the moment of inertia is m r²
-    fx: Array  # force and torque by contacts and walls
+    fx: Array  # force and torque by contacts, walls and loads
     fy: Array
     torque: Array
+    load_x: Array  # loads from outside, zero unless someone sets them
+    load_y: Array
+    load_torque: Array
 
 
 def at_rest(x: Array, y: Array, radius: Array, mass: Array) -> Grains:
-    """Grains without motion and forces, from arrays (n,), which are copied."""
-    zeros = np.zeros((6, len(x)))
+    """Grains without motion, forces and loads, from arrays (n,), which are copied."""
+    zeros = np.zeros((9, len(x)))
     return Grains(
         np.array(x, dtype=float),
         np.array(y, dtype=float),
@@ -37,18 +40,17 @@ def at_rest(x: Array, y: Array, radius: Array, mass: Array) -> Grains:
         zeros[2],
         np.array(radius, dtype=float),
         1.0 / mass,
-        zeros[3],
-        zeros[4],
-        zeros[5],
+        *zeros[3:],
     )
 
 
-def scaled_mass(radius: Array, stiffness: float, step: float) -> Array:
-    """Mass at which the time step is stable for a grain that is surrounded by contacts.
+def scaled_mass(radius: Array, stiffness: Array | float, step: float) -> Array:
+    """Mass (n,) at which the time step is stable for a grain surrounded by contacts.
 
-    Density scaling: statics do not feel the mass. A grain of radius r has room for
-    z = π / asin(r_min / (r + r_min)) of the smallest grains; Δt = 0.5 √(m/k) holds for
-    six contacts, hence m = (2 Δt)² k max(1, z/6).
+    `stiffness` is that of the stiffest contact, of all grains or of each (n,). Density scaling:
+    statics do not feel the mass. A grain of radius r has room for z = π / asin(r_min / (r +
+    r_min)) of the smallest grains; Δt = 0.5 √(m/k) holds for six contacts, hence
+    m = (2 Δt)² k max(1, z/6).
     """
     least = radius.min()
     room = np.pi / np.arcsin(least / (radius + least))

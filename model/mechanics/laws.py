@@ -75,3 +75,24 @@ def bond_tension(fn: float, moment: float, half_width: float) -> float:
 def bond_shear(fs: float, half_width: float) -> float:
     """Mean shear stress in a bond: |F_s| / A, with A = 2 R̄."""
     return abs(fs) / (2.0 * half_width)
+
+
+@kernel
+def bond_shear_strength(cohesion: float, friction: float, fn: float, half_width: float) -> float:
+    """Shear stress that cement holds: τ_c = c + μ̄ max(F_n, 0) / A (Mohr–Coulomb).
+
+    Without friction, μ̄ = 0, it is the shear strength of Potyondy & Cundall (2004).
+    """
+    return cohesion + friction * max(fn, 0.0) / (2.0 * half_width)
+
+
+@kernel
+def spent(before: float, after: float, stiffness: float, stretch: float) -> float:
+    """Energy that a spring loses where it slips or breaks during a step.
+
+    What was stored, less what is, plus the work put in: (F₀² − F₁²) / 2k − (F₀ + F₁) Δu / 2
+    with F₁ = F₀ − k Δu for a spring that holds, which loses nothing.
+    """
+    if stiffness == 0.0:
+        return 0.0
+    return 0.5 * (before + after) * ((before - after) / stiffness - stretch)

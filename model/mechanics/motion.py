@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from model.compile import kernel
-from model.mechanics.grains import Grains
+from model.mechanics.energy import DAMPING
+from model.mechanics.grains import Array, Grains
 from model.mechanics.laws import local_damping
 
 START_MIXING = 0.1  # FIRE's α
@@ -27,26 +28,24 @@ class Fire(NamedTuple):
 
 
 @kernel
-def unbalanced_force(grains: Grains) -> float:
-    """Mean |F| over the grains on which anything acts."""
-    total, loaded = 0.0, 0
-    for i in range(grains.x.size):
-        f2 = grains.fx[i] * grains.fx[i] + grains.fy[i] * grains.fy[i]
-        if f2 > 0.0:
-            total += np.sqrt(f2)
-            loaded += 1
-    return total / max(loaded, 1)
-
-
-@kernel
-def damped_velocities(grains: Grains, dt: float, alpha: float) -> None:
+def damped_velocities(grains: Grains, dt: float, alpha: float, ledger: Array | None) -> None:
     """Advance velocities with locally damped forces: v ← v + Δt F_damped / m."""
     for i in range(grains.x.size):
         step = dt * grains.inverse_mass[i]
         r = grains.radius[i]
-        grains.vx[i] += step * local_damping(grains.fx[i], grains.vx[i], alpha)
-        grains.vy[i] += step * local_damping(grains.fy[i], grains.vy[i], alpha)
-        grains.spin[i] += step / (r * r) * local_damping(grains.torque[i], grains.spin[i], alpha)
+        fx, fy, t = grains.fx[i], grains.fy[i], grains.torque[i]
+        vx, vy, s = grains.vx[i], grains.vy[i], grains.spin[i]
+        dx, dy, ds = (
+            local_damping(fx, vx, alpha),
+            local_damping(fy, vy, alpha),
+            local_damping(t, s, alpha),
+        )
+        grains.vx[i] = vx + step * dx
+        grains.vy[i] = vy + step * dy
+        grains.spin[i] = s + step / (r * r) * ds
+        if ledger is not None and step > 0.0:
+            taken = (fx - dx) * (vx + grains.vx[i]) + (fy - dy) * (vy + grains.vy[i])
+            ledger[DAMPING] += 0.5 * dt * (taken + (t - ds) * (s + grains.spin[i]))
 
 
 @kernel

@@ -14,6 +14,8 @@ import numpy as np
 from model.compile import kernel
 from model.mechanics.grains import Array, Grains
 
+JOINED = -2  # in place of a bond: a smooth joint runs between the two (`joints`)
+
 
 class Pairs(NamedTuple):
     """Pairs (i, j), i < j, of n grains; those of grain i are start[i] … start[i + 1] − 1."""
@@ -21,7 +23,7 @@ class Pairs(NamedTuple):
     start: Array  # (n + 1,) int64
     other: Array  # (m,) int32: grain j
     shear: Array  # (m,) shear force of the pair
-    bond: Array  # (m,) int32: index into the bonds, −1 for none
+    bond: Array  # (m,) int32: index into the bonds, −1 for none, or JOINED
     x: Array  # (n,) centres when the list was made
     y: Array
 

@@ -276,8 +276,9 @@ class _Trial:
         bonds.shear[:], bonds.moment[:] = self.memory
         bonds.state[:] = INTACT
         sums = contact_forces(
-            grains, specimen.pairs, unbreakable(bonds), specimen.law, FAR, 1.0, 0.0, 0.0
-        )
+            grains, specimen.pairs, unbreakable(bonds), specimen.joints, specimen.law, FAR,
+            0, 1.0, 0.0, 0.0, None,
+        )  # fmt: skip
         residual = np.empty(3 * n + 2)
         loads, specimen.sums = self._walls(sums, tilt, wanted)
         on_grains = residual[:-2].reshape(n, 3)
@@ -349,7 +350,10 @@ class _Trial:
         specimen.pairs.shear[:] = self.shear
         bonds.shear[:], bonds.moment[:] = self.memory
         kept = tuple(f.copy() for f in (grains.fx, grains.fy, grains.torque))
-        contact_forces(grains, specimen.pairs, bonds, specimen.law, FAR, 1.0, 0.0, 0.0)
+        contact_forces(
+            grains, specimen.pairs, bonds, specimen.joints, specimen.law, FAR,
+            0, 1.0, 0.0, 0.0, None,
+        )  # fmt: skip
         for field, value in zip((grains.fx, grains.fy, grains.torque), kept, strict=True):
             field[:] = value
         return int(np.count_nonzero(bonds.state != INTACT))
@@ -372,4 +376,5 @@ def load_carrying(specimen: Specimen) -> Pairs:
 
 def unbreakable(bonds: BondState) -> BondState:
     """The same bonds without a strength."""
-    return bonds._replace(tensile_strength=np.inf, shear_strength=np.inf)
+    endless = np.full(len(bonds.state), np.inf)
+    return bonds._replace(tensile_strength=endless, shear_strength=endless)

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.mechanics import measures, static
+from model.mechanics import records, static
 from model.mechanics.bonds import (
     INTACT,
     NO_BONDS,
@@ -24,15 +24,17 @@ from model.mechanics.bonds import (
     BondState,
     install,
     no_bonds,
+    strengths,
 )
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import AT_REST, STRAINED, TIME_STEP, Specimen, Stop
 from model.mechanics.grains import at_rest, scaled_mass
+from model.mechanics.joints import Trace
 from model.mechanics.neighbours import Pairs
 from model.mechanics.servo import Servo, setpoint
 from model.outcome import ModelError
 from model.products import Packing, StressState, UnitLoads
-from model.scene import Bonds, Stress
+from model.scene import Bonds, JointLine, Stress
 
 INERTIAL_NUMBER = 5e-5
 BAND = 0.02  # lag of the stresses behind the path at which it waits, relative
@@ -63,6 +65,8 @@ def load(
     stiffness_ratio: float,
     friction: float,
     bonds: Bonds | None,
+    joints: tuple[JointLine, ...] = (),
+    seed: int = 0,
     stress: Stress,
 ) -> StressState:
     """Grains in equilibrium under the walls' stresses, along the path stated above.
@@ -77,6 +81,8 @@ def load(
     stiffness_ratio : k_n / k_s.
     friction : Coulomb coefficient between grains; walls are frictionless.
     bonds : cement on all contacts of the packed state, or None.
+    joints : smooth joints along straight traces; their contacts have no other cement.
+    seed : of the bonds' strengths.
     stress : target stresses, Pa, compression positive.
 
     Raises
@@ -86,15 +92,16 @@ def load(
     """
     radius = float(packing.radius.mean())
     wanted = np.array(stress.components) / normal_stiffness
-    specimen = specimen_of(packing, normal_stiffness, stiffness_ratio, friction, bonds)
-    why = "there are no bonds"
+    rock = (packing, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed)
+    specimen = specimen_of(*rock)
+    why = "there are no bonds" if bonds is None else "there are joints"
     if units is not None and stress.method != "explicit":
         found = static.equilibrium(specimen, units, wanted, stress.tolerance)
         if found.reached:
             specimen.steps = found.corrections
             return _product(specimen, packing, radius, normal_stiffness, is_static=True)
         why = found.why
-        specimen = specimen_of(packing, normal_stiffness, stiffness_ratio, friction, bonds)
+        specimen = specimen_of(*rock)
     if stress.method == "static":
         raise ModelError(
             f"the static solver does not reach these stresses: {why}; try stress.method auto, "
@@ -126,8 +133,10 @@ def specimen_of(
     stiffness_ratio: float,
     friction: float,
     bonds: Bonds | None,
+    joints: tuple[JointLine, ...] = (),
+    seed: int = 0,
 ) -> Specimen:
-    """The packed grains in units of mean radius and k_n, centred, with bonds installed."""
+    """The packed grains in units of mean radius and k_n, centred, with bonds and joints."""
     unit = float(packing.radius.mean())
     box = packing.box / unit
     x = packing.x / unit - 0.5 * (box[0] + box[1])
@@ -136,13 +145,24 @@ def specimen_of(
     a, b = packing.contact_a, packing.contact_b
     cement = no_bonds()
     if bonds is not None:
+        random = np.random.Generator(np.random.PCG64([seed, len(a)]))
+        drawn = (
+            strengths(mean / normal_stiffness, deviation / normal_stiffness, len(a), random)
+            for mean, deviation in (
+                (bonds.tensile_strength, bonds.tensile_deviation),
+                (bonds.shear_strength, bonds.shear_deviation),
+            )
+        )
+        tensile, shear = drawn
+        modulus = 0.5 if bonds.modulus is None else bonds.modulus / normal_stiffness
         cement = install(
             bonds.kind,
-            tensile_strength=bonds.tensile_strength / normal_stiffness,
-            shear_strength=bonds.shear_strength / normal_stiffness,
+            tensile_strength=tensile,
+            shear_strength=shear,
+            friction=bonds.friction,
             radius_multiplier=bonds.radius_multiplier,
-            kn=1.0,
-            ks=1.0 / stiffness_ratio,
+            modulus=modulus,  # E_c = k_n / 2, the grains' (Potyondy & Cundall 2004, Eq. 21)
+            stiffness_ratio=bonds.stiffness_ratio or stiffness_ratio,
             radius_a=radius[a],
             radius_b=radius[b],
             distance=np.hypot(x[b] - x[a], y[b] - y[a]),
@@ -156,14 +176,45 @@ def specimen_of(
         x=x,
         y=y,
     )
-    stiffest = 1.0 + (float(cement.kn.max(initial=0.0)) if cement.kind == PARALLEL_BONDS else 0.0)
+    middle = 0.5 * np.array([box[0] + box[1], box[2] + box[3]])
+    traces = [_trace(line, unit, middle, normal_stiffness) for line in joints]
     return Specimen(
-        at_rest(x, y, radius, scaled_mass(radius, stiffest, TIME_STEP)),
-        box - 0.5 * np.repeat([box[0] + box[1], box[2] + box[3]], 2),
+        at_rest(x, y, radius, scaled_mass(radius, _stiffest(cement, radius, traces), TIME_STEP)),
+        box - np.repeat(middle, 2),
         ContactLaw(1.0, 1.0 / stiffness_ratio, friction),
         bonds=cement,
         known=contacts,
+        traces=traces,
     )
+
+
+def _trace(line: JointLine, unit: float, middle: np.ndarray, normal_stiffness: float) -> Trace:
+    """A joint in units of mean radius and k_n; a stiffness per area is one over length more."""
+    start, end = ((np.array(point) / unit - middle).tolist() for point in (line.start, line.end))
+    joint = line.joint
+    return Trace(
+        start=(start[0], start[1]),
+        end=(end[0], end[1]),
+        normal_stiffness=joint.normal_stiffness * unit / normal_stiffness,
+        shear_stiffness=joint.shear_stiffness * unit / normal_stiffness,
+        friction=joint.friction,
+        tensile_strength=joint.tensile_strength / normal_stiffness,
+        cohesion=joint.cohesion / normal_stiffness,
+        dilation=float(np.tan(joint.dilation_angle)),
+    )
+
+
+def _stiffest(cement: BondState, radius: np.ndarray, traces: list[Trace]) -> float:
+    """Stiffness of the stiffest contact."""
+    bonded = 1.0 + (
+        float(np.maximum(cement.kn, cement.ks).max(initial=0.0))
+        if cement.kind == PARALLEL_BONDS
+        else 0.0
+    )
+    joined = [
+        2.0 * radius.max() * max(trace.normal_stiffness, trace.shear_stiffness) for trace in traces
+    ]
+    return max(bonded, *joined) if joined else bonded
 
 
 def straight_path(pressure: float, xx: float, yy: float) -> Servo:
@@ -215,25 +266,15 @@ def _product(
     specimen: Specimen, packing: Packing, unit: float, normal_stiffness: float, *, is_static: bool
 ) -> StressState:
     """The state in SI units, at the place of the packing."""
-    grains, box, sums, bonds = specimen.grains, specimen.box, specimen.sums, specimen.bonds
+    grains, box, sums = specimen.grains, specimen.box, specimen.sums
     if is_static:  # its left and bottom walls stood
         shift_x, shift_y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
         grains.x[:] -= shift_x
         grains.y[:] -= shift_y
         box -= np.array([shift_x, shift_x, shift_y, shift_y])
     centre = 0.5 * np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]])
-    a, b = measures.listed(specimen.pairs)
-    overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
-    normal, shear = np.maximum(overlap, 0.0), specimen.pairs.shear.copy()
-    intact = bond_of_pair(specimen.pairs.bond, bonds)
-    glued = intact >= 0
-    if bonds.kind == PARALLEL_BONDS:
-        of, distance = intact[glued], (grains.radius[a] + grains.radius[b] - overlap)[glued]
-        normal[glued] += bonds.kn[of] * (bonds.length[of] - distance)
-        shear[glued] += bonds.shear[of]
-    else:
-        normal[glued] = overlap[glued]
-    kept = glued | (overlap > 0.0)
+    contacts, cracks = records.carried(specimen), records.broken(specimen)
+    force = unit * normal_stiffness
     width, height = box[1] - box[0], box[3] - box[2]
     virial = np.array([sums.virial_xx, sums.virial_yy, sums.virial_xy])
     walls = np.array(
@@ -242,25 +283,24 @@ def _product(
     return StressState(
         x=centre[0] + unit * grains.x,
         y=centre[1] + unit * grains.y,
-        contact_a=a[kept],
-        contact_b=b[kept],
-        normal_force=unit * normal_stiffness * normal[kept],
-        shear_force=unit * normal_stiffness * shear[kept],
-        bonded=glued[kept],
+        contact_a=contacts.a,
+        contact_b=contacts.b,
+        normal_force=force * contacts.normal,
+        shear_force=force * contacts.shear,
+        bonded=contacts.bonded,
+        joint_gap=unit * contacts.joint_gap,
+        crack_x=centre[0] + unit * cracks.x,
+        crack_y=centre[1] + unit * cracks.y,
+        crack_mode=cracks.mode,
+        crack_step=cracks.step,
+        crack_strain_xx=cracks.strain_xx,
+        crack_strain_yy=cracks.strain_yy,
+        idle_joints=np.array(specimen.idle_traces),
         box=unit * box + np.repeat(centre, 2),
         stress=normal_stiffness * virial / (width * height),
         wall_stress=normal_stiffness * walls,
         unbalanced_ratio=np.array(specimen.run.ratio),
-        broken_bonds=np.array(np.count_nonzero(bonds.state != INTACT)),
+        broken_bonds=np.array(np.count_nonzero(specimen.bonds.state != INTACT)),
         static=np.array(int(is_static)),
         steps=np.array(specimen.steps),
     )
-
-
-def bond_of_pair(bond: np.ndarray, bonds: BondState) -> np.ndarray:
-    """Index of the intact bond of each pair, −1 where there is none."""
-    intact = bond.astype(np.int64)
-    intact[intact >= 0] = np.where(
-        bonds.state[intact[intact >= 0]] == INTACT, intact[intact >= 0], -1
-    )
-    return intact

@@ -89,7 +89,11 @@ def open_pipes(
         w0 = _aperture_for(matrix.permeability, unit_permeability)
     result = uniform(network, w0, viscosity)
     unstressed = result.aperture.copy()
-    lines = [line for line in lines_of(fractures, region) if line.length > 0.0]
+    lines = [
+        line
+        for line in lines_of(fractures, region)
+        if line.length > 0.0 and fractures[line.fracture].acts_on_flow
+    ]
     chains = [chain_along(network, line) for line in lines]
     acts = np.zeros(len(lines), dtype=np.int64)
 
@@ -147,18 +151,38 @@ def _stressed(
     """Apertures under the contact forces; unchanged where no force law is given."""
     if stress is None or matrix.half_force is None:
         return unstressed
-    a, b = network.pipe_grain_a, network.pipe_grain_b
-    key = a * np.int64(len(stress.x)) + b
-    contact_key = stress.contact_a * np.int64(len(stress.x)) + stress.contact_b
-    found = np.minimum(np.searchsorted(contact_key, key), len(contact_key) - 1)
-    force = np.where(contact_key[found] == key, stress.normal_force[found], 0.0)
-    distance = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b])
-    gap = np.maximum(distance - network.pipe_length, 0.0)
+    contact = pipe_contacts(network, stress)
+    force = np.where(contact >= 0, stress.normal_force[contact], 0.0)
+    gap = np.maximum(pipe_gaps(network, stress), 0.0)
     return np.where(
         force > 0.0,
         stressed_aperture(unstressed, np.maximum(force, 0.0), matrix.half_force),
         parted_aperture(unstressed, gap, matrix.gap_factor),
     )
+
+
+def pipe_contacts(network: Network, stress: StressState) -> np.ndarray:
+    """The contact of the loaded grains at each pipe, (p,), −1 where they carry nothing."""
+    n = np.int64(len(stress.x))
+    key = network.pipe_grain_a * n + network.pipe_grain_b
+    known = stress.contact_a * n + stress.contact_b
+    if len(known) == 0:
+        return np.full(len(key), -1)
+    found = np.minimum(np.searchsorted(known, key), len(known) - 1)
+    return np.where(known[found] == key, found, -1)
+
+
+def pipe_gaps(network: Network, stress: StressState) -> np.ndarray:
+    """Gap between the grains at each pipe, (p,) in m, negative where they overlap.
+
+    Across a smooth joint it is the joint's own: grains that slide past each other along it
+    part without opening it.
+    """
+    a, b = network.pipe_grain_a, network.pipe_grain_b
+    distance = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b])
+    contact = pipe_contacts(network, stress)
+    opening = np.where(contact >= 0, stress.joint_gap[contact], np.nan)
+    return np.where(np.isnan(opening), distance - network.pipe_length, opening)
 
 
 def _calibrate(

@@ -10,8 +10,8 @@ from model.parameters import SceneError
 from model.region import Circle, Polygon, Rectangle, Region
 from model.scene.case import OBSERVABLES, Scene
 from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
-from model.scene.fractures import BiWing, Fracture, FractureSet, Trace
-from model.scene.lines import Line, lines_of
+from model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
+from model.scene.lines import JointLine, Line, joint_lines, lines_of
 from model.scene.rock import Bonds, Grains, Stress
 
 __all__ = [
@@ -24,6 +24,8 @@ __all__ = [
     "FractureSet",
     "Grains",
     "InitialField",
+    "Joint",
+    "JointLine",
     "Line",
     "Matrix",
     "Polygon",
@@ -36,5 +38,6 @@ __all__ = [
     "Stress",
     "Trace",
     "Well",
+    "joint_lines",
     "lines_of",
 ]

@@ -112,6 +112,13 @@ class Scene:
                 problems.append(("stress.angle", what))
         if self.bonds is not None and self.stress is None:
             problems.append(("bonds", "bonds act only where the scene names a stress"))
+        for fracture in self.fractures:
+            if fracture.joint is not None and self.stress is None:
+                what = "a joint acts only where the scene names a stress"
+                problems.append((f"fractures.{fracture.name}.joint", what))
+            if fracture.joint is not None and self.stress and self.stress.method == "static":
+                what = "static knows no joints; take explicit or auto"
+                problems.append(("stress.method", what))
         if self.matrix.half_force is not None and self.stress is None:
             problems.append(("matrix.half_force", "apertures follow forces only under a stress"))
         return problems

@@ -7,17 +7,42 @@ from dataclasses import dataclass
 
 from model.parameters import SceneError, check_fields, parameter
 
-__all__ = ["BiWing", "Fracture", "FractureSet", "Trace"]
+__all__ = ["BiWing", "Fracture", "FractureSet", "Joint", "Trace"]
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """How a fracture yields: a smooth joint in the grains (Mas Ivars et al. 2011).
+
+    It holds cement as long as its shear stress stays below cohesion + friction times its
+    normal stress, and its tension below the tensile strength; then friction alone.
+    """
+
+    normal_stiffness: float = parameter("Pa/m", above=0, help="stress per closure")
+    shear_stiffness: float = parameter("Pa/m", above=0, help="shear stress per slide")
+    friction: float = parameter(at_least=0, help="friction coefficient")
+    cohesion: float = parameter("Pa", default=0.0, at_least=0, help="cohesion of its cement")
+    tensile_strength: float = parameter(
+        "Pa", default=0.0, at_least=0, help="tensile strength of its cement"
+    )
+    dilation_angle: float = parameter(
+        "rad", default=0.0, at_least=0, below=0.5 * math.pi, help="angle at which slip opens it"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
 class _FractureProperties:
-    """What a fracture does to flow; exactly one of the first three.
+    """What a fracture does to flow, and under stress.
 
+    Exactly one of the first three; none of them only where it is a mere joint.
     `permeability`: its pipes get the aperture of a medium of that permeability (the
     paper's meaning). `aperture`: a hydraulic aperture whose transmissivity along the
     trace is w³ / (12 μ) (the engineer's). `transmissibility_multiplier`: a barrier;
     the pipes that run across the trace keep this fraction of their conductance.
+    `joint`: grains slide along it; without, a fracture is no plane of weakness.
     """
 
     name: str
@@ -36,6 +61,13 @@ class _FractureProperties:
         help="who owns the storage of the pores along the trace; "
         "default: matrix for an aperture, fracture for a permeability",
     )
+    joint: Joint | None = None
+
+    @property
+    def acts_on_flow(self) -> bool:
+        """Whether it is more than a mere joint."""
+        given = (self.permeability, self.aperture, self.transmissibility_multiplier)
+        return any(value is not None for value in given)
 
     def _problems(self) -> list[tuple[str, str]]:
         given = [
@@ -43,7 +75,7 @@ class _FractureProperties:
             for key in ("permeability", "aperture", "transmissibility_multiplier")
             if getattr(self, key) is not None
         ]
-        if len(given) != 1:
+        if len(given) != 1 and not (self.joint is not None and not given):
             return [
                 (
                     given[0] if given else "",

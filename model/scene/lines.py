@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from model.region import Region, bounding_box, clip_segment, contains
-from model.scene.fractures import Fracture, FractureSet
+from model.scene.fractures import Fracture, FractureSet, Joint
 
-__all__ = ["Line", "lines_of"]
+__all__ = ["JointLine", "Line", "joint_lines", "lines_of"]
 
 # An end of a trace nearer to the rim than this part of its length lies on it.
 RIM_TOUCH = 1e-9
@@ -29,6 +29,25 @@ class Line(NamedTuple):
     def length(self) -> float:
         """Length in m."""
         return math.dist(self.start, self.end)
+
+
+class JointLine(NamedTuple):
+    """A straight joint; it may go beyond the region, for the rock does."""
+
+    start: tuple[float, float]  # m
+    end: tuple[float, float]  # m
+    joint: Joint
+
+
+def joint_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[JointLine, ...]:
+    """Every straight trace of the fractures that are joints, with nothing of what they conduct."""
+    return tuple(
+        JointLine(start, end, fracture.joint)
+        for fracture in fractures
+        if fracture.joint is not None
+        for start, end in _segments(fracture, region)
+        if start != end
+    )
 
 
 def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:

@@ -80,22 +80,54 @@ class Grains:
 
 @dataclass(frozen=True, slots=True)
 class Bonds:
-    """Cement at the contacts. Strengths are stresses over the bond's cross-section."""
+    """Cement at the contacts. Strengths are stresses over the bond's cross-section.
+
+    With a deviation they are normally distributed from bond to bond, tension and shear apart,
+    drawn from the seed of the grains; what would be negative is zero.
+    """
 
     kind: str = parameter(choices=("contact", "parallel"), help="force only, or force and moment")
     tensile_strength: float = parameter("Pa", at_least=0, help="tensile strength")
     shear_strength: float = parameter("Pa", at_least=0, help="shear strength")
+    tensile_deviation: float = parameter(
+        "Pa", default=0.0, at_least=0, help="standard deviation of the tensile strength"
+    )
+    shear_deviation: float = parameter(
+        "Pa", default=0.0, at_least=0, help="standard deviation of the shear strength"
+    )
+    friction: float = parameter(
+        default=0.0, at_least=0, help="shear strength that a bond gains per compression on it"
+    )
     radius_multiplier: float = parameter(
         default=1.0, above=0, at_most=1, help="bond half-width over the smaller grain radius"
+    )
+    modulus: float | None = parameter(
+        "Pa", default=None, above=0, help="modulus of a parallel bond; default: the grains'"
+    )
+    stiffness_ratio: float | None = parameter(
+        default=None, above=0, help="normal over shear stiffness of a parallel bond; as modulus"
     )
 
     def __post_init__(self) -> None:
         check_fields(self)
+        problems = []
+        for name in ("modulus", "stiffness_ratio"):
+            if self.kind == "contact" and getattr(self, name) is not None:
+                problems.append((name, "a contact bond is as stiff as its contact"))
+        if problems:
+            raise SceneError(problems)
 
-    @property
-    def elastic(self) -> Bonds:
-        """The same cement without its strengths."""
-        return replace(self, tensile_strength=0.0, shear_strength=0.0)
+    def elastic(self, stiffness: float) -> Bonds:
+        """The same cement without its strengths, its modulus over a contact's stiffness k_n."""
+        return replace(
+            self,
+            tensile_strength=0.0,
+            shear_strength=0.0,
+            tensile_deviation=0.0,
+            shear_deviation=0.0,
+            friction=0.0,
+            modulus=None if self.modulus is None else self.modulus / stiffness,
+        )
 
 
 @dataclass(frozen=True, slots=True)

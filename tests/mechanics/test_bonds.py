@@ -7,13 +7,18 @@ from model.mechanics.bonds import (
     BROKEN_IN_SHEAR,
     BROKEN_IN_TENSION,
     INTACT,
-    contact_bond_state,
+    bond_state,
     install,
     load_parallel_bond,
+    strengths,
 )
 from model.mechanics.contacts import ContactLaw, Sums, contact_forces
+from model.mechanics.equilibrium import Specimen, Stop
 from model.mechanics.grains import at_rest
+from model.mechanics.joints import no_joints
 from model.mechanics.neighbours import Pairs
+from model.mechanics.records import broken
+from model.mechanics.servo import STANDING
 
 FAR = np.array([-1e3, 1e3, -1e3, 1e3])
 
@@ -23,9 +28,8 @@ def bonds(kind: str, n: int, *, tensile=np.inf, shear=np.inf, kn=1.0, ks=0.4, ra
         kind,
         tensile_strength=tensile,
         shear_strength=shear,
-        radius_multiplier=1.0,
-        kn=kn,
-        ks=ks,
+        modulus=0.5 * kn,
+        stiffness_ratio=kn / ks if ks > 0.0 else np.inf,
         radius_a=np.full(n, radius),
         radius_b=np.full(n, radius),
         distance=np.full(n, 2.0 * radius),
@@ -43,7 +47,9 @@ def strained_star(kind: str, strain_x: float, strain_y: float, kn: float, ks: fl
     )
     law = ContactLaw(kn, ks, 0.0)
     cement = bonds(kind, 6, kn=kn, ks=ks)
-    return contact_forces(grains, pairs, cement, law, FAR, 0.0, strain_x, strain_y)
+    return contact_forces(
+        grains, pairs, cement, no_joints(), law, FAR, 0, 0.0, strain_x, strain_y, None
+    )
 
 
 @pytest.mark.parametrize("ks", [0.0, 0.25, 1.0])
@@ -101,9 +107,9 @@ def test_parallel_bond_breaks_at_its_strengths(distance, slide, turn, state) -> 
 
 def test_contact_bond_breaks_at_force_over_its_section() -> None:
     cement = bonds("contact", 1, tensile=0.01, shear=0.02, radius=2.0)  # A = 4
-    assert contact_bond_state(cement, 0, -0.039, 0.079) == INTACT
-    assert contact_bond_state(cement, 0, -0.041, 0.0) == BROKEN_IN_TENSION
-    assert contact_bond_state(cement, 0, 1.0, -0.081) == BROKEN_IN_SHEAR
+    assert bond_state(cement, 0, -0.039, 0.079, 0.0) == INTACT
+    assert bond_state(cement, 0, -0.041, 0.0, 0.0) == BROKEN_IN_TENSION
+    assert bond_state(cement, 0, 1.0, -0.081, 0.0) == BROKEN_IN_SHEAR
 
 
 @pytest.mark.parametrize("kind", ["contact", "parallel"])
@@ -116,9 +122,9 @@ def test_pulled_pair_comes_apart_for_good(kind: str) -> None:
     cement = bonds(kind, 1, tensile=0.01)
     law = ContactLaw(1.0, 0.4, 0.5)
     gaps, pull = np.linspace(0.0003, 0.0603, 61), []
-    for gap in gaps:
+    for step, gap in enumerate(gaps):
         grains.x[:] = [-1.0, 1.0 + gap]
-        contact_forces(grains, pairs, cement, law, FAR, 0.0, 0.0, 0.0)
+        contact_forces(grains, pairs, cement, no_joints(), law, FAR, step, 0.0, 0.0, 0.0, None)
         pull.append(grains.fx[0])
         assert grains.fx[0] == -grains.fx[1]
     stiffness = 1.0 if kind == "contact" else 0.5
@@ -126,5 +132,101 @@ def test_pulled_pair_comes_apart_for_good(kind: str) -> None:
     np.testing.assert_allclose(pull, expected, atol=1e-12)
     assert cement.state[0] == BROKEN_IN_TENSION
     grains.x[:] = [-1.0, 0.99]
-    contact_forces(grains, pairs, cement, law, FAR, 0.0, 0.0, 0.0)
+    contact_forces(grains, pairs, cement, no_joints(), law, FAR, step, 0.0, 0.0, 0.0, None)
     assert grains.fx[1] == pytest.approx(0.01)  # touching again, grain to grain only
+
+
+def test_cement_with_friction_holds_mohr_coulomb() -> None:
+    cement = bonds("parallel", 1, shear=0.02)._replace(friction=0.5)
+    assert bond_state(cement, 0, 0.04, 0.079, 0.0) == INTACT  # τ = 0.0395 < 0.02 + 0.5 · 0.02
+    assert bond_state(cement, 0, 0.04, 0.061, 0.0) == BROKEN_IN_SHEAR
+    assert bond_state(cement, 0, -0.04, 0.041, 0.0) == BROKEN_IN_SHEAR  # tension adds nothing
+
+
+def test_strengths_are_normally_distributed_and_reproducible() -> None:
+    """Lac du Bonnet granite: 157 ± 36 MPa."""
+
+    def draw(seed):
+        return strengths(157e6, 36e6, 20_000, np.random.Generator(np.random.PCG64(seed)))
+
+    drawn = draw(1)
+    assert drawn.mean() == pytest.approx(157e6, rel=0.01)
+    assert drawn.std() == pytest.approx(36e6, rel=0.03)
+    below = np.mean(drawn < 157e6 - 36e6)
+    assert below == pytest.approx(0.1587, abs=0.01)  # one deviation below the mean
+    np.testing.assert_array_equal(drawn, draw(1))
+    assert np.any(drawn != draw(2))
+    wide = strengths(1.0, 5.0, 1000, np.random.Generator(np.random.PCG64(1)))
+    assert wide.min() == 0.0
+
+
+def cantilever(n: int, radius: float, ks: float) -> tuple[float, float]:
+    """Shear force and clamping moment of n discs in a row, the ends held upright, one moved up."""
+    x = 2.0 * radius * np.arange(n)
+    middle = x - x.mean()
+    mass = np.full(n, 4.0)
+    mass[[0, -1]] = np.inf
+    grains = at_rest(middle, np.zeros(n), np.full(n, radius), mass)
+    start = np.r_[np.arange(n), n - 1]
+    pairs = Pairs(
+        start, np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
+        np.arange(n - 1, dtype=np.int32), middle, np.zeros(n),
+    )  # fmt: skip
+    cement = bonds("parallel", n - 1, ks=ks, radius=radius)
+    law = ContactLaw(1.0, ks, 0.0)
+    specimen = Specimen(grains, FAR.copy(), law, bonds=cement, known=pairs)
+    never = Stop(ratio=0.0, stress=-1.0)
+    lift, steps = 1e-5 * radius, 100
+    grains.vy[-1] = lift / (steps * specimen.dt)
+    specimen.relax(STANDING, never, damping=0.3, steps=steps)
+    grains.vy[-1] = 0.0
+    specimen.relax(STANDING, never, damping=0.3, steps=100 * n * n)
+    return grains.fy[0] / lift, specimen.bonds.moment[0] / lift
+
+
+@pytest.mark.parametrize("ks", [0.4, 1.0])
+def test_bonded_row_bends_as_a_timoshenko_beam(ks: float) -> None:
+    """Clamped, guided: w = P L³ / 12 E I + P L / G A, E = k_n / 2, G A = E A k_s / k_n."""
+    for n, tolerance in ((6, 2e-2), (15, 4e-3)):
+        radius, modulus = 0.5, 0.5
+        length = 2.0 * radius * (n - 1)
+        area, inertia = 2.0 * radius, 2.0 * radius**3 / 3.0
+        bending = length**3 / (12.0 * modulus * inertia)
+        shear = length / (modulus * ks * area)
+        force, moment = cantilever(n, radius, ks)
+        assert abs(force) == pytest.approx(1.0 / (bending + shear), rel=tolerance)
+        # the moment falls linearly from P L / 2; the first bond sits one radius from the clamp
+        assert abs(moment / force) == pytest.approx(0.5 * length - radius, rel=1e-4)
+        # the chain itself, bond by bond: Σ (x_k² / k_r) + (n − 1) / k_s
+        at = 2.0 * radius * (np.arange(n - 1) - 0.5 * (n - 2))
+        kr = modulus / (2.0 * radius) * inertia
+        chain = np.sum(at**2) / kr + (n - 1) * 2.0 * radius / (modulus * ks * area)
+        assert abs(force) == pytest.approx(1.0 / chain, rel=1e-5)
+
+
+def test_breakages_are_told_with_step_place_and_mode() -> None:
+    """A row is pulled until its weakest bond breaks."""
+    n, weak = 6, 2
+    x = 2.0 * np.arange(n) - n + 1
+    mass = np.full(n, 4.0)
+    mass[[0, -1]] = np.inf
+    grains = at_rest(x, np.zeros(n), np.ones(n), mass)
+    pairs = Pairs(
+        np.r_[np.arange(n), n - 1], np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
+        np.arange(n - 1, dtype=np.int32), x, np.zeros(n),
+    )  # fmt: skip
+    cement = bonds("contact", n - 1, tensile=1e-3)
+    cement.tensile_strength[weak] = 5e-4
+    specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), bonds=cement, known=pairs)
+    speed = 1e-6
+    grains.vx[-1] = speed
+    specimen.relax(STANDING, Stop(ratio=0.0, stress=-1.0), damping=0.7, steps=20_000)
+    found = broken(specimen)
+    assert found.mode.tolist() == [BROKEN_IN_TENSION]
+    # strength · 2 R̄ = force = stretch of n − 1 contacts in a row
+    stretch = 5e-4 * 2.0 * (n - 1)
+    assert found.step[0] == pytest.approx(stretch / (speed * specimen.dt), rel=0.02)
+    share = stretch / (n - 1)
+    assert found.x[0] == pytest.approx(x[weak] + 1.0 + (weak + 0.5) * share, abs=2e-4)
+    assert found.y[0] == 0.0
+    assert found.strain_xx[0] == 0.0  # the walls stood

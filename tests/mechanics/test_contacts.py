@@ -2,14 +2,17 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from model.mechanics.bonds import no_bonds
 from model.mechanics.contacts import ContactLaw, contact_forces
 from model.mechanics.equilibrium import OUT_OF_STEPS, Specimen, Stop
 from model.mechanics.grains import Grains, at_rest
+from model.mechanics.joints import no_joints
 from model.mechanics.laws import local_damping, normal_force, shear_force, slip
 from model.mechanics.neighbours import find_pairs, no_pairs
-from model.mechanics.servo import STANDING
+from model.mechanics.servo import STANDING, Servo
 
 NEVER = Stop(ratio=0.0, stress=-1.0)
 FAR = np.array([-1e3, 1e3, -1e3, 1e3])  # walls that nothing reaches
@@ -105,7 +108,7 @@ def test_action_equals_reaction_with_walls() -> None:
     box = np.array([-4.5, 4.4, -4.3, 4.6])
     pairs = find_pairs(grains, 0.2, no_pairs(30))
     law = ContactLaw(1.0, 0.4, 0.5)
-    sums = contact_forces(grains, pairs, no_bonds(), law, box, 0.01, 0.0, 0.0)
+    sums = contact_forces(grains, pairs, no_bonds(), no_joints(), law, box, 0, 0.01, 0.0, 0.0, None)
     assert sums.left_contacts > 0
     assert sums.top_contacts > 0
     assert grains.fx.sum() == pytest.approx(sums.left - sums.right, abs=1e-12)
@@ -140,3 +143,80 @@ def test_scalar_laws() -> None:
     assert [slip(f, 1.0) for f in (-2.0, -0.5, 0.5, 2.0)] == [-1.0, -0.5, 0.5, 1.0]
     assert local_damping(2.0, 1.0, 0.5) == 1.0  # against the motion
     assert local_damping(2.0, -1.0, 0.5) == 3.0
+
+
+def gas(*, turn: float = 0.0, flip: float = 1.0, order=None) -> Grains:
+    """Discs that collide with friction, turned, mirrored or numbered anew; after their flight."""
+    rng = np.random.Generator(np.random.PCG64(8))
+    x, y = (v.ravel() for v in np.meshgrid(2.1 * np.arange(4.0), 2.1 * np.arange(4.0)))
+    v, spin = 0.05 * rng.normal(size=(2, 16)), 0.1 * rng.normal(size=16)
+    c, s = np.cos(turn), np.sin(turn)
+
+    def turned(a, b):
+        return c * a - s * flip * b, s * a + c * flip * b
+
+    order = np.arange(16) if order is None else order
+    (px, py), (vx, vy) = turned(x, y), turned(*v)
+    grains = discs(
+        px[order], py[order], velocity=np.column_stack((vx, vy))[order], spin=flip * spin[order]
+    )
+    fly(grains, friction=0.4, dt=0.2, time=30.0)
+    return grains
+
+
+def test_motion_is_the_same_turned_mirrored_and_renumbered() -> None:
+    plain = gas()
+    assert np.hypot(plain.vx, plain.vy).max() > 0.01
+    turn = 0.7
+    c, s = np.cos(turn), np.sin(turn)
+    turned = gas(turn=turn)
+    np.testing.assert_allclose(turned.x, c * plain.x - s * plain.y, atol=1e-11)
+    np.testing.assert_allclose(turned.y, s * plain.x + c * plain.y, atol=1e-11)
+    mirrored = gas(flip=-1.0)
+    np.testing.assert_allclose(mirrored.x, plain.x, atol=1e-11)
+    np.testing.assert_allclose(mirrored.y, -plain.y, atol=1e-11)
+    np.testing.assert_allclose(mirrored.spin, -plain.spin, atol=1e-11)
+    order = np.random.Generator(np.random.PCG64(1)).permutation(16)
+    renumbered = gas(order=order)
+    np.testing.assert_allclose(renumbered.x, plain.x[order], atol=1e-11)
+    np.testing.assert_allclose(renumbered.spin, plain.spin[order], atol=1e-11)
+
+
+def test_shear_history_does_not_notice_when_the_list_is_made_anew() -> None:
+    """The same flight with a list made at every step and with a list made once."""
+
+    def flight(skin: float) -> tuple[Specimen, Grains]:
+        rng = np.random.Generator(np.random.PCG64(3))
+        x, y = (v.ravel() for v in np.meshgrid(1.98 * np.arange(4.0), 1.98 * np.arange(4.0)))
+        grains = discs(
+            x, y, velocity=0.01 * rng.normal(size=(16, 2)), spin=0.01 * rng.normal(size=16)
+        )
+        specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), dt=0.2, skin=skin)
+        specimen.relax(STANDING, NEVER, damping=0.0, steps=40)
+        return specimen, grains
+
+    often, one = flight(1e-3)
+    never, two = flight(3.0)
+    assert often.rebuilds > 10
+    assert never.rebuilds == 0
+    assert np.abs(often.pairs.shear).max() > 0.0
+    np.testing.assert_allclose(one.x, two.x, atol=1e-13)
+    np.testing.assert_allclose(one.spin, two.spin, atol=1e-13)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), speed=st.floats(1e-3, 0.5), skin=st.floats(0.05, 1.0))
+def test_no_contact_is_missed_between_lists(seed: int, speed: float, skin: float) -> None:
+    """At whatever moment one looks, every touching pair is in the list."""
+    rng = np.random.Generator(np.random.PCG64(seed))
+    x, y = rng.uniform(-7, 7, (2, 40))
+    grains = discs(x, y, velocity=speed * rng.normal(size=(40, 2)))
+    box = np.array([-8.0, 8.0, -8.0, 8.0])
+    specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.3), dt=0.2, skin=skin)
+    servo = Servo(1.0, 0.5, 1.0, 0.5, limit=1e-2)  # the affine stretch moves grains too
+    for _ in range(30):
+        specimen.relax(servo, NEVER, damping=0.3, steps=3)
+        distance = np.hypot(grains.x[:, None] - grains.x, grains.y[:, None] - grains.y)
+        a, b = np.nonzero(np.triu(distance < 2.0, 1))
+        listed = np.repeat(np.arange(40), np.diff(specimen.pairs.start)) * 40 + specimen.pairs.other
+        assert np.isin(a * 40 + b, listed).all()

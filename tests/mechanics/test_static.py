@@ -20,7 +20,7 @@ STRONG = {
 
 
 def responses(rock, bonds, friction=0.5):
-    return unit_loads(rock, stiffness_ratio=2.5, friction=friction, bonds=bonds.elastic)
+    return unit_loads(rock, stiffness_ratio=2.5, friction=friction, bonds=bonds.elastic(KN))
 
 
 def loaded(rock, units, bonds, friction=0.5, **stress):
@@ -54,8 +54,9 @@ def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
         grains.x[:], grains.y[:] = x + sign * u[:, 0], y + sign * u[:, 1]
         grains.vx[:], grains.vy[:], grains.spin[:] = sign * u.T
         contact_forces(
-            grains, specimen.pairs, specimen.bonds, specimen.law, static.FAR, 1.0, 0.0, 0.0
-        )
+            grains, specimen.pairs, specimen.bonds, specimen.joints, specimen.law, static.FAR,
+            0, 1.0, 0.0, 0.0, None,
+        )  # fmt: skip
         grains.x[:], grains.y[:] = x, y
         return np.column_stack([grains.fx, grains.fy, grains.torque])
 

@@ -29,6 +29,9 @@ VISCOSITY = 1e-3
 positive = st.floats(1e-9, 1e9)
 
 
+CRACKS = [name for name in StressState._fields if name.startswith("crack_")]
+
+
 def opened(*fractures, matrix=None, stress=None, unit=UNIT):
     return open_pipes(
         NETWORK,
@@ -41,7 +44,7 @@ def opened(*fractures, matrix=None, stress=None, unit=UNIT):
     )
 
 
-def state(force, x=None, y=None, kept=slice(None)):
+def state(force, x=None, y=None, kept=slice(None), joint_gap=None):
     """Contact forces (and moved grains) on the packing's contacts."""
     a, b = PACKING.contact_a[kept], PACKING.contact_b[kept]
     return StressState(
@@ -52,6 +55,9 @@ def state(force, x=None, y=None, kept=slice(None)):
         normal_force=np.broadcast_to(force, len(PACKING.contact_a))[kept].astype(float),
         shear_force=np.zeros(len(a)),
         bonded=np.zeros(len(a), dtype=bool),
+        joint_gap=np.full(len(a), np.nan) if joint_gap is None else joint_gap,
+        **dict.fromkeys(CRACKS, np.empty(0)),
+        idle_joints=np.asarray(0),
         box=PACKING.box,
         stress=np.zeros(3),
         wall_stress=np.zeros(4),
@@ -222,3 +228,15 @@ def test_inputs_are_left_as_they_were():
     )
     for name, value in before.items():
         np.testing.assert_array_equal(value, getattr(NETWORK, name), err_msg=name)
+
+
+def test_across_a_joint_the_gap_is_the_joints_own():
+    """Grains that slid past each other along a joint part without opening their pipe."""
+    matrix = Matrix(aperture=1e-5, half_force=1.0, gap_factor=0.5)
+    count = len(PACKING.contact_a)
+    stretched = {"x": 1.1 * PACKING.x, "y": 1.1 * PACKING.y}
+    closed = opened(matrix=matrix, stress=state(0.0, **stretched, joint_gap=np.zeros(count)))
+    np.testing.assert_allclose(closed.aperture, 1e-5)
+    gap = np.full(count, 2e-3)
+    wide = opened(matrix=matrix, stress=state(0.0, **stretched, joint_gap=gap))
+    np.testing.assert_allclose(wide.aperture, 1e-5 + 0.5 * 2e-3)

@@ -1,0 +1,276 @@
+"""Smooth joints: fractures along which grains slide past each other, not over each other.
+
+Where a trace runs between two grains their contact takes the orientation of the trace instead
+of the grains' (Pierce et al. 2007; Mas Ivars et al. 2008, 2011). It has a stiffness per area of
+its cross-section 2 R̄, R̄ the smaller radius; its gap is followed along the joint's normal, and
+overlap of the grains as such gives no force. Grains that come to touch across a trace later on
+join it there, with no gap and no force. A joint contact ends when its grains have slid past each
+other. Where traces cross, the one named first has the contact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from model.compile import kernel
+from model.mechanics.bonds import (
+    BROKEN_IN_SHEAR,
+    BROKEN_IN_TENSION,
+    INTACT,
+    Cracks,
+    no_cracks,
+    note_crack,
+)
+from model.mechanics.energy import BREAKAGE, ELASTIC, SLIP
+from model.mechanics.grains import Array, Grains
+from model.mechanics.laws import bond_shear, bond_shear_strength, slip, spent
+from model.mechanics.neighbours import JOINED, Pairs
+
+LOOSE, APART = 3, 4  # states beside those of bonds: never cemented; not touching (yet, any more)
+
+
+class JointState(NamedTuple):
+    """All contacts across joints, m of them."""
+
+    a: Array  # (m,) grains, int64, a < b
+    b: Array
+    nx: Array  # (m,) normal of the joint, from the side of a to that of b
+    ny: Array
+    half_width: Array  # (m,) R̄
+    kn: Array  # (m,) stiffness across and along the joint, force per length
+    ks: Array
+    friction: Array  # (m,)
+    tensile_strength: Array  # (m,) stress
+    cohesion: Array  # (m,) stress
+    dilation: Array  # (m,) opening per slip
+    gap: Array  # (m,) along the normal
+    normal: Array  # (m,) force along the normal, compression positive
+    shear: Array  # (m,) force along the joint, on b towards the normal turned by +90°
+    slipped: Array  # (m,) length of its slip so far
+    state: Array  # (m,) int8
+    cracks: Cracks
+
+
+class Trace(NamedTuple):
+    """A straight joint, in the units of the specimen."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    normal_stiffness: float  # force per length and area
+    shear_stiffness: float
+    friction: float
+    tensile_strength: float
+    cohesion: float
+    dilation: float  # tangent of the dilation angle
+
+    @property
+    def cemented(self) -> bool:
+        """Whether it has any strength beside friction."""
+        return self.tensile_strength > 0.0 or self.cohesion > 0.0
+
+
+def no_joints() -> JointState:
+    """The joints of a rock without fractures."""
+    none = np.empty(0, np.int64)
+    numbers = (np.empty(0) for _ in range(13))
+    return JointState(none, none, *numbers, np.empty(0, np.int8), no_cracks(0))
+
+
+class Joints:
+    """The joints of a specimen: their traces, and the sides on which grains lay when they came."""
+
+    def __init__(self, traces: Sequence[Trace], grains: Grains):
+        self.traces = tuple(traces)
+        self.x, self.y = grains.x.copy(), grains.y.copy()
+        self.found = np.zeros(len(self.traces), dtype=bool)  # whether it ever crossed a contact
+
+    def join(self, grains: Grains, pairs: Pairs, kn: float, known: JointState) -> JointState:
+        """Let every pair across a trace that is new to the list join it; marks it in the list.
+
+        Pairs that touch hand their force (`kn` times the overlap, and their shear) to the joint
+        as far as it can carry it.
+        """
+        a = np.repeat(np.arange(len(grains.x)), np.diff(pairs.start))
+        b = pairs.other.astype(np.int64)
+        n = np.int64(len(grains.x))
+        old = np.isin(a * n + b, known.a * n + known.b)
+        pairs.bond[old] = JOINED
+        for index, trace in enumerate(self.traces):
+            free = np.flatnonzero(pairs.bond != JOINED)
+            across, sign = self._across(trace, grains, a[free], b[free])
+            if not len(across):
+                continue
+            pair = free[across]
+            self.found[index] = True
+            made = _contacts(trace, grains, pairs, a[pair], b[pair], pair, sign, kn)
+            known = _joined(known, made)
+            pairs.bond[pair], pairs.shear[pair] = JOINED, 0.0
+        return known
+
+    def _across(self, trace: Trace, grains: Grains, a: Array, b: Array) -> tuple[Array, Array]:
+        """Which pairs lie on two sides of a trace, and +1 where a lies on its right."""
+        (x0, y0), (x1, y1) = trace.start, trace.end
+        length = np.hypot(x1 - x0, y1 - y0)
+        tx, ty = (x1 - x0) / length, (y1 - y0) / length
+        # zero counts as the right side, as it does for the pipes along a trace
+        left = tx * (self.y - y0) - ty * (self.x - x0) > 0.0
+        found = np.flatnonzero(left[a] != left[b])
+        a, b = a[found], b[found]
+        height = tx * (grains.y - y0) - ty * (grains.x - x0)
+        along = tx * (grains.x - x0) + ty * (grains.y - y0)
+        ha, hb = np.abs(height[a]), np.abs(height[b])
+        part = np.divide(ha, ha + hb, where=ha + hb > 0.0, out=np.full(len(a), 0.5))
+        place = along[a] + part * (along[b] - along[a])
+        within = (place >= 0.0) & (place <= length)
+        return found[within], np.where(left[b[within]], 1.0, -1.0)
+
+
+def _contacts(
+    trace: Trace,
+    grains: Grains,
+    pairs: Pairs,
+    a: Array,
+    b: Array,
+    pair: Array,
+    sign: Array,
+    kn: float,
+) -> JointState:
+    """Contacts of pairs with one trace; `sign` tells which way its left normal points."""
+    (x0, y0), (x1, y1) = trace.start, trace.end
+    length = np.hypot(x1 - x0, y1 - y0)
+    nx, ny = -sign * (y1 - y0) / length, sign * (x1 - x0) / length
+    dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
+    distance = np.hypot(dx, dy)
+    overlap = grains.radius[a] + grains.radius[b] - distance
+    touch = overlap > 0.0
+    fn, fs = kn * np.maximum(overlap, 0.0), np.where(touch, pairs.shear[pair], 0.0)
+    fx, fy = (fn * dx - fs * dy) / distance, (fn * dy + fs * dx) / distance
+    half = np.minimum(grains.radius[a], grains.radius[b])
+    stiff_n, stiff_s = trace.normal_stiffness * 2.0 * half, trace.shear_stiffness * 2.0 * half
+    normal = np.maximum(fx * nx + fy * ny, 0.0)
+    limit = trace.friction * normal + trace.cohesion * 2.0 * half
+    many = np.full(len(a), 1.0)
+    state = np.where(touch, INTACT if trace.cemented else LOOSE, APART).astype(np.int8)
+    return JointState(
+        a=a,
+        b=b,
+        nx=nx * many,
+        ny=ny * many,
+        half_width=half,
+        kn=stiff_n,
+        ks=stiff_s,
+        friction=trace.friction * many,
+        tensile_strength=trace.tensile_strength * many,
+        cohesion=trace.cohesion * many,
+        dilation=trace.dilation * many,
+        gap=-normal / stiff_n,
+        normal=normal,
+        shear=np.clip(fy * nx - fx * ny, -limit, limit),
+        slipped=0.0 * many,
+        state=state,
+        cracks=no_cracks(len(a)),
+    )
+
+
+def _joined(one: JointState, two: JointState) -> JointState:
+    """Both lists of contacts in one."""
+    cracks = Cracks(*map(np.concatenate, zip(one.cracks, two.cracks, strict=True)))
+    fields = map(np.concatenate, zip(one[:-1], two[:-1], strict=True))
+    return JointState(*fields, cracks)
+
+
+@kernel
+def joint_forces(
+    grains: Grains,
+    joints: JointState,
+    box: Array,
+    step: int,
+    dt: float,
+    stretch_x: float,
+    stretch_y: float,
+    ledger: Array | None,
+) -> tuple[int, float]:
+    """Add the forces and torques of all joint contacts; returns (contacts, Σ |F|).
+
+    The step is that of `contacts.contact_forces`. The contact point lies between the grains;
+    its displacement, b's past a's, is taken in the middle of the step and resolved along the
+    joint. Both grains feel the force there, so that angular momentum is kept.
+    """
+    contacts, total = 0, 0.0
+    for k in range(joints.a.size):
+        a, b = joints.a[k], joints.b[k]
+        dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
+        ra, rb = grains.radius[a], grains.radius[b]
+        reach = ra + rb
+        d2 = dx * dx + dy * dy
+        nx, ny = joints.nx[k], joints.ny[k]
+        state = joints.state[k]
+        if state == APART:
+            if d2 >= reach * reach:
+                continue
+            joints.state[k] = LOOSE
+            joints.gap[k] = joints.normal[k] = joints.shear[k] = 0.0
+            continue
+        kn, ks, half = joints.kn[k], joints.ks[k], joints.half_width[k]
+        held_n, held_s = joints.normal[k], joints.shear[k]
+        d = np.sqrt(d2)
+        arm_a, arm_b = 0.5 * (d + ra - rb), 0.5 * (d + rb - ra)  # r less half the overlap
+        ux = dt * (grains.vx[b] - grains.vx[a]) + stretch_x * dx
+        uy = dt * (grains.vy[b] - grains.vy[a]) + stretch_y * dy
+        mx, my = dx - 0.5 * ux, dy - 0.5 * uy  # branch in the middle of the step
+        m = np.sqrt(mx * mx + my * my)
+        h = 0.5 * (d - m)
+        turn = dt * (grains.spin[a] * (arm_a - h) + grains.spin[b] * (arm_b - h)) / m
+        cx, cy = ux + turn * my, uy - turn * mx
+        un, us = cx * nx + cy * ny, cy * nx - cx * ny
+        gap = joints.gap[k] + un
+        fn = -kn * gap
+        fs = held_s - ks * us
+        broke = False
+        if state == INTACT:
+            if -fn / (2.0 * half) > joints.tensile_strength[k]:
+                state = BROKEN_IN_TENSION
+            elif bond_shear(fs, half) > bond_shear_strength(
+                joints.cohesion[k], joints.friction[k], fn, half
+            ):
+                state = BROKEN_IN_SHEAR
+            if state != INTACT:
+                broke = True
+                joints.state[k] = state
+                px, py = grains.x[a] + arm_a / d * dx, grains.y[a] + arm_a / d * dy
+                note_crack(joints.cracks, k, state, step, px, py, box)
+        if state != INTACT:
+            fn = max(fn, 0.0)
+            trial = fs
+            fs = slip(fs, joints.friction[k] * fn)
+            slid = abs(trial - fs) / ks
+            if fn > 0.0 and slid > 0.0:
+                joints.slipped[k] += slid
+                gap -= slid * joints.dilation[k]
+                fn = -kn * gap
+        along = dy * nx - dx * ny
+        if state != INTACT and abs(along) > reach:  # they have slid past each other
+            joints.state[k] = APART
+            fn = fs = gap = 0.0
+        if ledger is not None:
+            lost = spent(held_s, fs, ks, us)
+            if held_n > 0.0 or fn > 0.0 or broke:
+                lost += spent(held_n, fn, kn, un) if fn > 0.0 or broke else 0.0
+            ledger[BREAKAGE if broke else SLIP] += lost
+            ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / ks
+        joints.gap[k], joints.normal[k], joints.shear[k] = gap, fn, fs
+        fx, fy = fn * nx - fs * ny, fn * ny + fs * nx
+        across = (dx * fy - dy * fx) / d
+        grains.fx[a] -= fx
+        grains.fy[a] -= fy
+        grains.torque[a] -= arm_a * across
+        grains.fx[b] += fx
+        grains.fy[b] += fy
+        grains.torque[b] -= arm_b * across
+        if state == INTACT or fn > 0.0:
+            contacts += 1
+            total += np.sqrt(fn * fn + fs * fs)
+    return contacts, total

@@ -1,0 +1,91 @@
+"""The energy ledger: input = stored + lost, whatever takes the energy."""
+
+import numpy as np
+import pytest
+
+from model.mechanics.bonds import INTACT
+from model.mechanics.contacts import ContactLaw
+from model.mechanics.equilibrium import FIRE, OUT_OF_STEPS, Specimen, Stop
+from model.mechanics.grains import at_rest
+from model.mechanics.servo import STANDING
+from model.mechanics.stress import specimen_of, straight_path
+from model.scene import Bonds, Joint, JointLine
+from tests.mechanics.rocks import packed
+
+NEVER = Stop(ratio=0.0, stress=-1.0)
+KN = 40e9
+WEAK = Joint(
+    normal_stiffness=KN, shear_stiffness=KN, friction=0.3, cohesion=1e5, dilation_angle=0.1
+)
+
+
+def loaded(steps: int = 1500, **rock):
+    """The balance of a rock that is led from its packed state to 2:1."""
+    bonds, joints = rock.get("bonds"), rock.get("joints", ())
+    specimen = specimen_of(packed(), KN, 2.5, 0.5, bonds, joints, 1)
+    specimen.open_ledger()
+    path = straight_path(2e-4, 5e-4, 2.5e-4)
+    assert specimen.relax(path, NEVER, damping=0.3, steps=steps) == OUT_OF_STEPS
+    return specimen, specimen.energies()
+
+
+@pytest.mark.parametrize(
+    "rock",
+    [
+        {},
+        {"bonds": Bonds(kind="contact", tensile_strength=2e5, shear_strength=5e5)},
+        {"bonds": Bonds(kind="parallel", tensile_strength=5e5, shear_strength=1e6)},
+        {"joints": (JointLine((-3.0, -2.0), (3.0, 2.0), WEAK),)},
+    ],
+    ids=["friction", "contact bonds", "parallel bonds", "joint"],
+)
+def test_the_balance_closes(rock) -> None:
+    specimen, found = loaded(**rock)
+    assert found.walls > 0.0
+    assert found.elastic > 0.0
+    assert found.slip > 0.0
+    assert found.damping > 0.0
+    broken = np.count_nonzero(specimen.bonds.state != INTACT)
+    assert (found.breakage > 0.0) == (broken > 0 or "joints" in rock)
+    assert abs(found.error) <= 1e-6 * abs(found.input)
+
+
+def test_a_collision_between_free_discs_closes_with_second_order() -> None:
+    def error(dt: float) -> float:
+        grains = at_rest(np.array([-1.0, 1.0]), np.array([-0.3, 0.3]), np.ones(2), np.ones(2))
+        grains.vx[:], grains.spin[:] = [0.02, -0.01], [0.01, 0.02]
+        grains.x[:] = [-0.955, 0.955]
+        box = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
+        specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.2), dt=dt)
+        specimen.open_ledger()
+        specimen.relax(STANDING, NEVER, damping=0.0, steps=round(8.0 / dt))
+        assert specimen.energies().slip > 0.0
+        return abs(specimen.energies().error)
+
+    coarse, fine = error(0.04), error(0.01)
+    assert fine < 1e-8
+    assert coarse / fine > 8.0
+
+
+def test_loads_and_led_grains_do_work() -> None:
+    """A disc falls on a box's floor and is pushed by another that is led at constant speed."""
+    grains = at_rest(np.array([-2.1, 0.0]), np.array([0.0, 0.1]), np.ones(2), np.array([np.inf, 1]))
+    grains.vx[0] = 1e-3
+    grains.load_y[1] = -1e-4
+    specimen = Specimen(
+        grains, np.array([-9.0, 9.0, -1.0, 9.0]), ContactLaw(1.0, 0.4, 0.4), dt=0.02
+    )
+    specimen.open_ledger()
+    specimen.relax(STANDING, NEVER, damping=0.2, steps=20000)
+    found = specimen.energies()
+    assert found.loads > 0.0
+    assert found.kinetic > 0.0
+    assert abs(found.error) <= 1e-4 * found.input
+
+
+def test_fire_keeps_no_ledger() -> None:
+    grains = at_rest(np.zeros(1), np.zeros(1), np.ones(1), np.ones(1))
+    specimen = Specimen(grains, np.array([-2.0, 2.0, -2.0, 2.0]), ContactLaw(1.0, 0.4, 0.4))
+    specimen.open_ledger()
+    with pytest.raises(ValueError, match="local damping"):
+        specimen.relax(STANDING, NEVER, damping=FIRE, steps=1)
