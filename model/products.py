@@ -86,6 +86,21 @@ class StressState(NamedTuple):
     steps: Array  # () time steps taken, or corrections of the static solver
 
 
+class StrengthTest(NamedTuple):
+    """A specimen that was tested to failure; r records along the test."""
+
+    youngs_modulus: Array  # () Pa, secant to half of the peak
+    poissons_ratio: Array  # ()
+    peak_strength: Array  # () Pa: largest axial stress, in tension positive too
+    crack_count: Array  # () bonds broken at the end
+    cracks_at_peak: Array  # ()
+    axial_stress: Array  # (r,) Pa
+    axial_strain: Array  # (r,) in the sense of the test
+    lateral_strain: Array  # (r,) opposite to it
+    cracks: Array  # (r,) bonds broken
+    steps: Array  # () time steps taken
+
+
 class Network(NamedTuple):
     """Pores and pipes: the faces of the contact graph and the contacts between them.
 

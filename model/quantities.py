@@ -99,6 +99,14 @@ CASE: dict[str, Quantity] = {
         "Pa", ("component",), "stress in the specimen, positive in compression"
     ),
     "unbalanced_ratio": Quantity("1", (), "mean unbalanced force over mean contact force"),
+    "youngs_modulus": Quantity(
+        "Pa", (), "Young's modulus, secant to half of the peak stress", ("youngs_modulus",)
+    ),
+    "poissons_ratio": Quantity("1", (), "Poisson's ratio, in the plane", ("poissons_ratio",)),
+    "peak_strength": Quantity(
+        "Pa", (), "largest axial stress of the test to failure", ("peak_strength",)
+    ),
+    "crack_count": Quantity("1", (), "bonds broken at the end of the test", ("crack_count",)),
     "broken_bonds": Quantity("1", (), "bonds that broke under the stress"),
     "static_solver": Quantity("1", (), "1 where the static solver found the stress state, else 0"),
     "mechanical_steps": Quantity(

@@ -16,6 +16,7 @@ import numpy as np
 from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
 from model.flow.solvers import flow
 from model.mechanics.packing import pack
+from model.mechanics.strength import strength
 from model.mechanics.stress import load as stress
 from model.mechanics.stress import unit_loads
 from model.network.apertures import open_pipes as open
@@ -36,12 +37,13 @@ from model.products import (
     Packing,
     Permeability,
     Responses,
+    StrengthTest,
     StressState,
     UnitLoads,
 )
 from model.quantities import MAPS
 from model.region import Region, contains
-from model.scene import Bonds, Scene, joint_lines
+from model.scene import MEASURED_BY_A_TEST, Bonds, Scene, joint_lines
 
 __all__ = [
     "STAGES",
@@ -54,6 +56,7 @@ __all__ = [
     "pack",
     "permeability",
     "simulate",
+    "strength",
     "stress",
     "unit_loads",
 ]
@@ -85,8 +88,9 @@ def measure(network: Network, apertures: Apertures, *, viscosity: float) -> Perm
 def observe(
     packing: Packing,
     stress: StressState | None,
-    network: Network,
-    apertures: Apertures,
+    tested: StrengthTest | None,
+    network: Network | None,
+    apertures: Apertures | None,
     permeability: Permeability | None,
     responses: Responses | None,
     reference: Responses | None,
@@ -98,16 +102,23 @@ def observe(
     """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
     grains = contains(region, np.column_stack([packing.x, packing.y]))
     found = {
-        "porosity": network.porosity,
-        "matrix_aperture": apertures.matrix_aperture,
+        "porosity": packing.porosity,
         "coordination": packing.coordination,
         "grain_count": np.asarray(np.count_nonzero(grains)),
-        "domain_count": np.asarray(np.count_nonzero(network.inside)),
-        "floaters": network.floaters,
-        "slivers": network.slivers,
-        "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
-        "parted_pipes": _parted(network, stress),
+        "floaters": packing.floaters,
     }
+    if network is not None and apertures is not None:
+        found |= {
+            "porosity": network.porosity,
+            "matrix_aperture": apertures.matrix_aperture,
+            "domain_count": np.asarray(np.count_nonzero(network.inside)),
+            "floaters": network.floaters,
+            "slivers": network.slivers,
+            "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
+            "parted_pipes": _parted(network, stress),
+        }
+    if tested is not None:
+        found |= {name: getattr(tested, name) for name in MEASURED_BY_A_TEST if name in wanted}
     if stress is not None:
         found["stress_achieved"] = stress.stress
         found["unbalanced_ratio"] = stress.unbalanced_ratio
@@ -147,9 +158,14 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
 
 
 def _needs_permeability(scene: Scene) -> bool:
-    return scene.matrix.permeability is not None or any(
-        fracture.permeability is not None for fracture in scene.fractures
+    return scene.porous and (
+        (scene.matrix is not None and scene.matrix.permeability is not None)
+        or any(fracture.permeability is not None for fracture in scene.fractures)
     )
+
+
+def _viscosity(scene: Scene) -> float | None:
+    return scene.fluid.viscosity if scene.fluid is not None else None
 
 
 def _observes_flows(scene: Scene) -> bool:
@@ -174,7 +190,7 @@ def _always(scene: Scene) -> bool:
 
 _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.region,
-    "bulk_modulus": lambda s: s.fluid.bulk_modulus,
+    "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
     "wells": lambda s: sites(s.wells),
     "sides": lambda s: tuple(name for name, _ in s.boundaries),
     "active": active_sources,
@@ -203,6 +219,7 @@ STAGES: tuple[Stage, ...] = (
             "radius_ratio": lambda s: s.grains.radius_ratio,
             "porosity": lambda s: s.grains.porosity,
             "seed": lambda s: s.grains.seed,
+            "floaters": lambda s: s.grains.floaters,
         },
         wanted=_always,
         product=Packing,
@@ -238,12 +255,27 @@ STAGES: tuple[Stage, ...] = (
         product=StressState,
     ),
     Stage(
+        name="strength",
+        run=strength,
+        version=1,
+        parents=("pack",),
+        reads={
+            "normal_stiffness": lambda s: s.grains.contact_stiffness,
+            "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
+            "friction": lambda s: s.grains.friction,
+            "bonds": lambda s: s.bonds,
+            "test": lambda s: s.test,
+        },
+        wanted=lambda s: s.tests,
+        product=StrengthTest,
+    ),
+    Stage(
         name="network",
         run=network,
         version=1,
         parents=("pack",),
         reads={"region": lambda s: s.region},
-        wanted=_always,
+        wanted=lambda s: s.porous,
         product=Network,
     ),
     Stage(
@@ -264,9 +296,9 @@ STAGES: tuple[Stage, ...] = (
             "region": lambda s: s.region,
             "matrix": lambda s: s.matrix,
             "fractures": lambda s: s.fractures,
-            "viscosity": lambda s: s.fluid.viscosity,
+            "viscosity": _viscosity,
         },
-        wanted=_always,
+        wanted=lambda s: s.porous,
         product=Apertures,
     ),
     Stage(
@@ -274,7 +306,7 @@ STAGES: tuple[Stage, ...] = (
         run=measure,
         version=2,
         parents=("network", "open"),
-        reads={"viscosity": lambda s: s.fluid.viscosity},
+        reads={"viscosity": _viscosity},
         wanted=lambda s: "permeability" in s.observe,
         product=Permeability,
     ),
@@ -305,8 +337,8 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         run=observe,
-        version=2,
-        parents=("pack", "stress", "network", "open", "measure", "flow", "reference"),
+        version=3,
+        parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={
             "region": lambda s: s.region,
             "told": controls,

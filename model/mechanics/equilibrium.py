@@ -107,7 +107,7 @@ def advance(
             ledger[KINETIC] = kinetic_energy(grains, dt)
         wanted_xx, wanted_yy = setpoint(servo, progress)
         if servo.gain > 0.0:
-            error = stress_error(sums, box, wanted_xx, wanted_yy)
+            error = stress_error(servo, sums, box, wanted_xx, wanted_yy)
         if progress < 1.0:
             if error < servo.band:
                 progress = min(1.0, progress + servo.pace * np.sqrt(min(wanted_xx, wanted_yy)))

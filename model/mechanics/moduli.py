@@ -11,12 +11,13 @@ from model.mechanics.bonds import PARALLEL_BONDS
 from model.mechanics.equilibrium import Specimen
 from model.mechanics.grains import Array
 from model.mechanics.measures import listed, overlaps
-from model.mechanics.stiffness import Contacts, factorise, matrix, solve
+from model.mechanics.stiffness import ANCHOR, Contacts, factorise, matrix, solve
 from model.mechanics.stress import specimen_of
 from model.products import Packing
 from model.scene import Bonds
 
 RIM = 4.0  # mean radii from the walls in which grains follow the strain
+REFINEMENTS = 4
 STRAINS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # xx, yy, γ
 
 
@@ -53,6 +54,7 @@ def elastic_moduli(
     free, fixed = np.flatnonzero(np.repeat(inside, 3)), np.flatnonzero(np.repeat(~inside, 3))
     inner = csc_array(stiffness[free][:, free])
     factor = factorise(inner)
+    anchor = ANCHOR * specimen.law.kn
     dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
     weight = 0.5 * (inside[a].astype(float) + inside[b])
     solid = np.pi * np.sum(grains.radius[inside] ** 2)
@@ -65,7 +67,9 @@ def elastic_moduli(
         flat = u.ravel()
         load = -(stiffness[free][:, fixed] @ flat[fixed])
         found = solve(factor, load)
-        flat[free] = found + solve(factor, load - inner @ found)
+        for _ in range(REFINEMENTS):  # without the anchors
+            found += solve(factor, load - inner @ found + anchor * found)
+        flat[free] = found
         fx, fy = _forces(flat.reshape(n, 3), contacts, specimen)
         columns.append(
             [

@@ -24,8 +24,10 @@ import numpy as np
 from model.mechanics import measures
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
+from model.mechanics.floaters import fit
 from model.mechanics.grains import Array, along_hilbert_curve, at_rest, scaled_mass
 from model.mechanics.lattices import CELL_AREA, lattice
+from model.mechanics.neighbours import find_pairs
 from model.mechanics.servo import STANDING, Servo
 from model.outcome import ModelError
 from model.products import Packing
@@ -73,6 +75,7 @@ def pack(
     radius_ratio: float,
     porosity: float | None,
     seed: int,
+    floaters: str = "leave",
 ) -> Packing:
     """Grains at rest that cover the region with a margin, see the head of this file.
 
@@ -86,6 +89,8 @@ def pack(
     radius_ratio : largest over smallest radius of a random packing, uniform between.
     porosity : wanted porosity of a random packing, met within 0.005.
     seed : of the random numbers.
+    floaters : "leave" them as they lie, or "fit" them into their voids (`floaters.fit`): a grain
+        without load then touches three others without force, and bonds may hold it.
 
     Raises
     ------
@@ -106,8 +111,9 @@ def pack(
     size = np.array([box[1] - box[0], box[3] - box[2]]) / mean_radius
     size = np.maximum(size + 2.0 * MARGIN, LEAST_WIDTH + 2.0 * WALL_LAYER)
     trial = search(porosity, size, radius_ratio, seed)
+    fitted = fit_floaters(trial.specimen) if floaters == "fit" else None
     centre = 0.5 * np.array([box[0] + box[1], box[2] + box[3]])
-    return _product(trial, mean_radius, centre)
+    return _product(trial, mean_radius, centre, fitted)
 
 
 class Trial(NamedTuple):
@@ -241,8 +247,23 @@ def inner_box(box: Array) -> Array:
     return box + WALL_LAYER * np.array([1.0, -1.0, 1.0, -1.0])
 
 
-def _product(trial: Trial, mean_radius: float, centre: Array) -> Packing:
-    """The packing in metres, its box centred on `centre`."""
+def fit_floaters(specimen: Specimen) -> tuple[Array, Array]:
+    """Fit what carries no load into its voids; the contacts (a, b) without force that it makes."""
+    grains = specimen.grains
+    a, b = measures.listed(specimen.pairs)
+    touch = measures.overlaps(grains.x, grains.y, grains.radius, a, b) > 0.0
+    counts = measures.contact_counts(
+        grains.x, grains.y, grains.radius, specimen.box, a[touch], b[touch]
+    )
+    found = fit(grains.x, grains.y, grains.radius, counts < 2)
+    specimen.pairs = find_pairs(grains, specimen.skin, specimen.pairs)
+    return found
+
+
+def _product(
+    trial: Trial, mean_radius: float, centre: Array, fitted: tuple[Array, Array] | None
+) -> Packing:
+    """The packing in metres, its box centred on `centre`, with contacts of fitted floaters."""
     specimen = trial.specimen
     grains, box = specimen.grains, specimen.box
     shift_x, shift_y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
@@ -255,6 +276,8 @@ def _product(trial: Trial, mean_radius: float, centre: Array) -> Packing:
     a, b = measures.listed(specimen.pairs)
     overlap = measures.overlaps(x, y, radius, a, b)
     touch = overlap > 0.0
+    if fitted is not None:
+        touch |= np.isin(a * len(x) + b, fitted[0] * len(x) + fitted[1])
     a, b = a[touch], b[touch]
     counts = measures.contact_counts(x, y, radius, walls, a, b)
     return Packing(
@@ -263,7 +286,7 @@ def _product(trial: Trial, mean_radius: float, centre: Array) -> Packing:
         radius=radius,
         contact_a=a,
         contact_b=b,
-        normal_force=overlap[touch],
+        normal_force=np.maximum(overlap[touch], 0.0),
         shear_force=mean_radius * specimen.pairs.shear[touch],
         box=walls,
         porosity=np.array(trial.porosity),

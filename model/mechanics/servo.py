@@ -29,6 +29,8 @@ class Servo(NamedTuple):
     wall_gain: float = 0.3  # part of the error in each wall's force that one step corrects
     modulus: float = 0.5  # stress per strain that the gain assumes, in units of k_n
     limit: float = 5e-5  # largest strain in one step
+    drive_x: float = np.nan  # strain of each step in x, extension positive, in place of a stress
+    drive_y: float = np.nan
 
 
 STANDING = Servo(1.0, 1.0, 1.0, 1.0, gain=0.0)  # a box that does not move
@@ -60,10 +62,12 @@ def stretches(
     """
     area = (box[1] - box[0]) * (box[3] - box[2])
     factor = servo.gain / servo.modulus
-    return (
-        clip(factor * (sums.virial_xx / area - wanted_xx), servo.limit),
-        clip(factor * (sums.virial_yy / area - wanted_yy), servo.limit),
-    )
+    stretch_x, stretch_y = servo.drive_x, servo.drive_y
+    if np.isnan(stretch_x):
+        stretch_x = clip(factor * (sums.virial_xx / area - wanted_xx), servo.limit)
+    if np.isnan(stretch_y):
+        stretch_y = clip(factor * (sums.virial_yy / area - wanted_yy), servo.limit)
+    return stretch_x, stretch_y
 
 
 @kernel
@@ -79,29 +83,31 @@ def move_walls(
 ) -> None:
     """Carry the walls with the stretch, and correct each by its own force error.
 
-    A wall's stiffness is that of its contacts, n k_n.
+    A wall's stiffness is that of its contacts, n k_n. Walls that are driven are not corrected.
     """
     width, height = box[1] - box[0], box[3] - box[2]
     far_x, far_y = servo.limit * width, servo.limit * height
     gain = servo.wall_gain / kn
     push_x, push_y = wanted_xx * height, wanted_yy * width
-    box[0] += stretch_x * box[0] - clip(
+    correct_x = 1.0 if np.isnan(servo.drive_x) else 0.0
+    correct_y = 1.0 if np.isnan(servo.drive_y) else 0.0
+    box[0] += stretch_x * box[0] - correct_x * clip(
         gain * (sums.left - push_x) / max(sums.left_contacts, 1), far_x
     )
-    box[1] += stretch_x * box[1] + clip(
+    box[1] += stretch_x * box[1] + correct_x * clip(
         gain * (sums.right - push_x) / max(sums.right_contacts, 1), far_x
     )
-    box[2] += stretch_y * box[2] - clip(
+    box[2] += stretch_y * box[2] - correct_y * clip(
         gain * (sums.bottom - push_y) / max(sums.bottom_contacts, 1), far_y
     )
-    box[3] += stretch_y * box[3] + clip(
+    box[3] += stretch_y * box[3] + correct_y * clip(
         gain * (sums.top - push_y) / max(sums.top_contacts, 1), far_y
     )
 
 
 @kernel
-def stress_error(sums: Sums, box: Array, wanted_xx: float, wanted_yy: float) -> float:
-    """Largest relative error of the four wall stresses and the two mean stresses."""
+def stress_error(servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float) -> float:
+    """Largest relative error of the wall stresses and the mean stresses that are wanted."""
     width, height = box[1] - box[0], box[3] - box[2]
     area = width * height
     worst_x = max(
@@ -114,4 +120,6 @@ def stress_error(sums: Sums, box: Array, wanted_xx: float, wanted_yy: float) -> 
         abs(sums.top / width - wanted_yy),
         abs(sums.virial_yy / area - wanted_yy),
     )
-    return max(worst_x / wanted_xx, worst_y / wanted_yy)
+    error_x = worst_x / wanted_xx if np.isnan(servo.drive_x) else 0.0
+    error_y = worst_y / wanted_yy if np.isnan(servo.drive_y) else 0.0
+    return max(error_x, error_y)

@@ -18,7 +18,7 @@ from scipy.sparse import csc_array, diags_array
 
 from model.mechanics.bonds import INTACT, BondState
 from model.mechanics.contacts import Sums, contact_forces
-from model.mechanics.equilibrium import Specimen
+from model.mechanics.equilibrium import SKIN, Specimen
 from model.mechanics.grains import Array
 from model.mechanics.measures import listed, overlaps
 from model.mechanics.neighbours import Pairs
@@ -30,6 +30,7 @@ MOST_CORRECTIONS = 40
 BASE_TOLERANCE, BASE_CORRECTIONS = 1e-9, 100  # of the packed state, from which stresses count
 MEMORY = 10  # corrections that the next one takes into account
 FAR = np.array([-np.inf, np.inf, -np.inf, np.inf])
+Walls = tuple[Array, ...]  # grains at left, right, bottom, top
 INWARD = (1.0, -1.0, 1.0, -1.0)  # sense of the force of each wall
 
 
@@ -66,11 +67,13 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         found = solve(factor, load)
         return found + solve(factor, load - stiffness @ found)
 
-    share = wall_shares(specimen, contacts, carries)
+    reach = at_walls(specimen, carries, SKIN)  # they may come to touch
+    near = tuple(np.union1d(w, r) for w, r in zip(contacts.walls, reach, strict=True))
+    share = wall_shares(specimen, near, carries)
     loads = np.zeros((3, 3 * n + 2))
     loads[0, -2] = -height  # a compression moves the right wall inwards
     loads[1, -1] = -width
-    loads[2] = shear_load(specimen, contacts.walls, share)
+    loads[2] = shear_load(specimen, near, share)
     displacement = np.array([displaced(load) for load in loads])
     # under shear the walls are free to tilt by γ: γ (k_γγ − kᵀ K⁻¹ k) = kᵀ u
     tilt = tilt_load(specimen, contacts.walls)
@@ -93,8 +96,8 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         packed=np.array(packed, dtype=float),
         displacement=displacement,
         shear_strain=np.array(shear),
-        wall_grain=np.concatenate(contacts.walls),
-        wall_start=np.concatenate([[0], np.cumsum([len(w) for w in contacts.walls])]),
+        wall_grain=np.concatenate(near),
+        wall_start=np.concatenate([[0], np.cumsum([len(held) for held in near])]),
         wall_share=np.concatenate(share),
         order=factor.order,
         start=factor.start,
@@ -109,20 +112,27 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
 
 def contacts_of(specimen: Specimen) -> Contacts:
     """All that touches or is bonded in a specimen."""
-    grains, box = specimen.grains, specimen.box
+    grains = specimen.grains
     a, b = listed(specimen.pairs)
     bond = specimen.pairs.bond
     held = (bond >= 0) | (overlaps(grains.x, grains.y, grains.radius, a, b) > 0.0)
     a, b, bond = a[held], b[held], bond[held].astype(np.int64)
     inner = np.bincount(np.r_[a, b], minlength=len(grains.x)) > 0
-    gaps = (
-        grains.x - grains.radius - box[0],
-        box[1] - grains.x - grains.radius,
-        grains.y - grains.radius - box[2],
-        box[3] - grains.y - grains.radius,
+    return Contacts(a, b, bond, at_walls(specimen, inner, TOUCHING))
+
+
+def at_walls(specimen: Specimen, kept: Array, reach: float) -> Walls:
+    """Grains among those kept, bool (n,), whose gap to a wall is below a reach, by wall."""
+    grains, box = specimen.grains, specimen.box
+    return tuple(
+        np.flatnonzero(kept & (gap < reach))
+        for gap in (
+            grains.x - grains.radius - box[0],
+            box[1] - grains.x - grains.radius,
+            grains.y - grains.radius - box[2],
+            box[3] - grains.y - grains.radius,
+        )
     )
-    left, right, bottom, top = (np.flatnonzero(inner & (gap < TOUCHING)) for gap in gaps)
-    return Contacts(a, b, bond, (left, right, bottom, top))
 
 
 def carrying(n: int, contacts: Contacts) -> Array:
@@ -138,14 +148,14 @@ def carrying(n: int, contacts: Contacts) -> Array:
         carries = fewer
 
 
-def wall_shares(specimen: Specimen, contacts: Contacts, carries: Array) -> tuple[Array, ...]:
+def wall_shares(specimen: Specimen, walls: Walls, carries: Array) -> tuple[Array, ...]:
     """Part of each wall's shear traction that each of its grains carries.
 
     In proportion to its force on the wall; none where the grain `carries` no load.
     """
     grains, box = specimen.grains, specimen.box
     shares = []
-    for side, held in enumerate(contacts.walls):
+    for side, held in enumerate(walls):
         centre = (grains.x if side < 2 else grains.y)[held]
         press = np.maximum(grains.radius[held] - np.abs(centre - box[side]), 0.0)
         if not np.any(press > TOUCHING):  # a lattice at rest
@@ -155,7 +165,7 @@ def wall_shares(specimen: Specimen, contacts: Contacts, carries: Array) -> tuple
     return tuple(shares)
 
 
-def shear_load(specimen: Specimen, walls: tuple[Array, ...], share: tuple[Array, ...]) -> Array:
+def shear_load(specimen: Specimen, walls: Walls, share: tuple[Array, ...]) -> Array:
     """Forces and torques (3 n + 2,) by a unit shear traction σ_xy on the walls."""
     grains, box = specimen.grains, specimen.box
     load = np.zeros(3 * len(grains.x) + 2)
@@ -169,7 +179,7 @@ def shear_load(specimen: Specimen, walls: tuple[Array, ...], share: tuple[Array,
     return load
 
 
-def tilt_load(specimen: Specimen, walls: tuple[Array, ...]) -> Array:
+def tilt_load(specimen: Specimen, walls: Walls) -> Array:
     """Forces (3 n + 2,) on grains and walls by a unit shear strain of the walls."""
     n = len(specimen.grains.x)
     load = np.zeros(3 * n + 2)

@@ -39,7 +39,7 @@ class Contacts(NamedTuple):
     a: Array  # (c,) a < b
     b: Array
     bond: Array  # (c,) index of the bond, −1 for none
-    walls: tuple[Array, Array, Array, Array]  # grains at left, right, bottom, top
+    walls: tuple[Array, ...]  # grains at left, right, bottom, top
 
 
 def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw) -> csc_array:

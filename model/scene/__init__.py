@@ -8,13 +8,14 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 
 from model.parameters import SceneError
 from model.region import Circle, Polygon, Rectangle, Region
-from model.scene.case import OBSERVABLES, Scene
+from model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
 from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
 from model.scene.lines import JointLine, Line, joint_lines, lines_of
-from model.scene.rock import Bonds, Grains, Stress
+from model.scene.rock import Bonds, Grains, Stress, Test
 
 __all__ = [
+    "MEASURED_BY_A_TEST",
     "OBSERVABLES",
     "BiWing",
     "Bonds",
@@ -36,6 +37,7 @@ __all__ = [
     "SceneError",
     "Solver",
     "Stress",
+    "Test",
     "Trace",
     "Well",
     "joint_lines",

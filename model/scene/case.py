@@ -11,9 +11,9 @@ from model.parameters import SceneError, check_fields, parameter
 from model.region import Region, clip_segment, contains, distance_to_rim
 from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet
-from model.scene.rock import Bonds, Grains, Stress
+from model.scene.rock import Bonds, Grains, Stress, Test
 
-__all__ = ["OBSERVABLES", "Scene"]
+__all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "Scene"]
 
 OBSERVABLES = (
     "well_pressure",
@@ -23,7 +23,12 @@ OBSERVABLES = (
     "probe_pressure",
     "grain_map",
     "time_error",
+    "youngs_modulus",
+    "poissons_ratio",
+    "peak_strength",
+    "crack_count",
 )
+MEASURED_BY_A_TEST = ("youngs_modulus", "poissons_ratio", "peak_strength", "crack_count")
 
 # Traces that one set may have: beyond, its spacing is a slip of the unit.
 MOST_TRACES = 100_000
@@ -38,11 +43,12 @@ class Scene:
 
     region: Region
     grains: Grains
-    matrix: Matrix
-    fluid: Fluid
     observe: tuple[str, ...]
+    matrix: Matrix | None = None
+    fluid: Fluid | None = None
     bonds: Bonds | None = None
     stress: Stress | None = None
+    test: Test | None = None
     fractures: tuple[Fracture, ...] = ()
     wells: tuple[Well, ...] = ()
     boundaries: tuple[tuple[str, float], ...] = ()
@@ -92,13 +98,38 @@ class Scene:
         return any(
             name in self.observe
             for name in OBSERVABLES
-            if name not in ("permeability", "grain_map")
+            if name not in ("permeability", "grain_map", *MEASURED_BY_A_TEST)
         )
+
+    @property
+    def tests(self) -> bool:
+        """Whether an output is wanted that a test to failure gives."""
+        return any(name in self.observe for name in MEASURED_BY_A_TEST)
+
+    @property
+    def porous(self) -> bool:
+        """Whether an output is wanted that needs the pores and their pipes."""
+        return any(name not in MEASURED_BY_A_TEST for name in self.observe)
 
     def _mechanical_problems(self) -> list[tuple[str, str]]:
         problems = []
-        if self.stress is not None and self.grains.contact_stiffness is None:
+        if (self.stress or self.test) is not None and self.grains.contact_stiffness is None:
             problems.append(("grains.modulus", "a stress needs modulus or normal_stiffness"))
+        if self.tests and self.test is None:
+            what = "moduli, strength and cracks are measured by a test; describe it, for instance "
+            problems.append(("test", what + "{kind: biaxial, confining_stress: 1 MPa}"))
+        if self.test is not None and not self.tests:
+            named = ", ".join(MEASURED_BY_A_TEST)
+            problems.append(("test", f"nothing that it measures is observed, none of {named}"))
+        if self.test is not None and self.test.kind == "tension" and self.bonds is None:
+            problems.append(("test.kind", "unbonded grains bear no tension; add bonds"))
+        if self.porous:
+            what = "pores are observed, which needs it"
+            problems += [
+                (name, what)
+                for name, part in (("matrix", self.matrix), ("fluid", self.fluid))
+                if part is None
+            ]
         if self.stress is not None and self.grains.packing != "random" and self.bonds is None:
             problems.append(
                 ("stress", f"an unbonded {self.grains.packing} lattice cannot be loaded; add bonds")
@@ -110,8 +141,8 @@ class Scene:
             if self.stress.components[2] != 0.0:
                 what = "unbonded grains are loaded along the axes only; add bonds"
                 problems.append(("stress.angle", what))
-        if self.bonds is not None and self.stress is None:
-            problems.append(("bonds", "bonds act only where the scene names a stress"))
+        if self.bonds is not None and self.stress is None and self.test is None:
+            problems.append(("bonds", "bonds act only where the scene names a stress or a test"))
         for fracture in self.fractures:
             if fracture.joint is not None and self.stress is None:
                 what = "a joint acts only where the scene names a stress"
@@ -119,7 +150,7 @@ class Scene:
             if fracture.joint is not None and self.stress and self.stress.method == "static":
                 what = "static knows no joints; take explicit or auto"
                 problems.append(("stress.method", what))
-        if self.matrix.half_force is not None and self.stress is None:
+        if self.matrix is not None and self.matrix.half_force is not None and self.stress is None:
             problems.append(("matrix.half_force", "apertures follow forces only under a stress"))
         return problems
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from model.parameters import SceneError, check_fields, parameter
 
-__all__ = ["Bonds", "Grains", "Stress"]
+__all__ = ["Bonds", "Grains", "Stress", "Test"]
 
 # What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
@@ -38,6 +38,11 @@ class Grains:
         at_least=LEAST_POROSITY,
         at_most=GREATEST_POROSITY,
         help="porosity of a random packing",
+    )
+    floaters: str = parameter(
+        default="leave",
+        choices=("leave", "fit"),
+        help="grains without load stay as they lie, or are fitted into their voids and bonded",
     )
     seed: int = parameter(default=1, at_least=0, help="seed of the random packing")
     modulus: float | None = parameter(
@@ -166,3 +171,26 @@ class Stress:
         if abs(shear) < 1e-12 * mean:  # quarter turns, in round numbers
             shear = 0.0
         return mean + along, mean - along, shear
+
+
+@dataclass(frozen=True, slots=True)
+class Test:
+    """A test to failure of the whole packing, in the direction y."""
+
+    kind: str = parameter(
+        default="biaxial",
+        choices=("biaxial", "tension"),
+        help="platens approach between confining walls, or grips part without walls",
+    )
+    confining_stress: float = parameter(
+        "Pa", default=1e5, at_least=0, help="stress on the lateral walls of a biaxial test"
+    )
+    strain_step: float = parameter(
+        default=1e-6, at_least=1e-8, at_most=2e-5, help="axial strain of one time step"
+    )
+    largest_strain: float = parameter(
+        default=0.02, above=0, at_most=0.2, help="axial strain at which a test gives up"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)

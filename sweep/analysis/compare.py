@@ -20,7 +20,7 @@ import numpy as np
 import xarray as xr
 
 from model.region import Circle, Rectangle
-from model.scene import Scene
+from model.scene import Fluid, Scene
 from sweep.analysis.cases import Index, case_title, done
 
 SceneOf = Callable[[Index], Scene]  # the scene of a case
@@ -85,10 +85,18 @@ def comparable_cases(
     return cases
 
 
+def fluid_of(scene: Scene) -> Fluid:
+    """The fluid of a scene that is compared with a formula of flow."""
+    if scene.fluid is None:
+        raise ValueError("the comparison needs a fluid")
+    return scene.fluid
+
+
 def compared_permeability(scene: Scene, case: xr.Dataset) -> float:
     """Permeability for t_D and Darcy's law, m²: as asked for, or as measured under stress."""
-    if scene.matrix.permeability is not None and scene.stress is None:
-        return scene.matrix.permeability
+    matrix = scene.matrix
+    if matrix is not None and matrix.permeability is not None and scene.stress is None:
+        return matrix.permeability
     if "permeability" not in case:
         raise ValueError("the comparison needs a permeability: give one, or observe permeability")
     tensor = case["permeability"].values

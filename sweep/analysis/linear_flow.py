@@ -16,6 +16,7 @@ from sweep.analysis.compare import (
     bin_means,
     comparable_cases,
     compared_permeability,
+    fluid_of,
     spread,
     stacked,
 )
@@ -92,7 +93,7 @@ def compare_linear(dataset: xr.Dataset, scene_of: SceneOf, maps_of: MapsOf) -> L
         times = np.array(scene.times)
         sample = _sample(scene, maps)
         initial = float(scene.uniform_pressure)  # type: ignore[arg-type]
-        phi, k, fluid = float(case["porosity"]), compared_permeability(scene, case), scene.fluid
+        phi, k, fluid = float(case["porosity"]), compared_permeability(scene, case), fluid_of(scene)
         diffusivity = k * fluid.bulk_modulus / (phi * fluid.viscosity)
         formula = linear_pressure(
             np.clip(sample.distance, 0.0, sample.length),

@@ -17,6 +17,7 @@ from sweep.analysis.compare import (
     bin_means,
     comparable_cases,
     compared_permeability,
+    fluid_of,
     spread,
     stacked,
 )
@@ -81,7 +82,7 @@ def compare_radial(
     rows: list[dict[str, Any]] = []
     titles, places = [], [np.empty(0)]
     for index, scene in cases:
-        case, well, fluid = dataset.isel(index), scene.wells[0], scene.fluid
+        case, well, fluid = dataset.isel(index), scene.wells[0], fluid_of(scene)
         times = np.array(scene.times)
         phi, k = float(case["porosity"]), compared_permeability(scene, case)
         initial, rate = float(scene.uniform_pressure), float(well.rate)  # type: ignore[arg-type]

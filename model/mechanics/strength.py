@@ -1,0 +1,207 @@
+"""The stage *strength*: a specimen is tested to failure, between platens or in tension.
+
+Before the test the packed grains are relieved to INSTALLED, so that little stress is locked in
+by the bonds that are then installed. *Biaxial*: the lateral walls hold the confining stress,
+the platens (bottom and top) approach each other at a constant strain rate, as in Potyondy &
+Cundall (2004). *Tension*: the grains next to the platens are gripped and pulled apart, the sides
+are free. A test ends when the stress has fallen to FALLEN of its peak.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from model.mechanics import measures
+from model.mechanics.bonds import INTACT
+from model.mechanics.equilibrium import FIRE, Specimen, Stop
+from model.mechanics.grains import Array
+from model.mechanics.servo import STANDING, Servo
+from model.mechanics.stress import specimen_of
+from model.outcome import ModelError
+from model.products import Packing, StrengthTest
+from model.scene import Bonds, Test
+
+INSTALLED = 1e-5  # pressure over k_n at which bonds are installed
+HOLDING = 10.0  # friction while the packing is relieved, so that it stays as it is
+GRIP = 3.0  # mean radii from the platens within which grains are gripped in tension
+GAUGE = 0.7  # part of the width and the height over which strains are measured
+FALLEN = 0.7  # part of the peak stress at which a test ends
+RECORDS = 400  # along the largest strain
+ELASTIC = 0.5  # part of the peak stress below which the moduli are read
+DAMPING = 0.7  # local: strain rates are small, waves should die
+NEVER = -1.0  # a ratio at which nothing counts as at rest
+LEAST_STRESS = 1e-7  # over k_n, that a servo can hold
+
+
+def strength(
+    packing: Packing,
+    *,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds | None,
+    test: Test,
+) -> StrengthTest:
+    """Test a packing to failure, see the head of this file.
+
+    Parameters
+    ----------
+    packing : the packed state; all of it is the specimen.
+    normal_stiffness, stiffness_ratio, friction, bonds : as for `stress.load`.
+    test : what is done to it.
+
+    Raises
+    ------
+    ModelError : the specimen does not hold the confining stress, or comes to no peak within the
+        largest strain.
+    """
+    relieved = relieve(packing)
+    specimen = specimen_of(relieved, normal_stiffness, stiffness_ratio, friction, bonds)
+    if test.kind == "tension":
+        curve = _pull(specimen, test)
+    else:
+        curve = _press(specimen, test, normal_stiffness)
+    stress, axial, lateral, cracks = curve
+    peak = int(np.argmax(stress))
+    if stress[peak] <= 0.0 or stress[-1] > FALLEN * stress[peak]:
+        raise ModelError(
+            f"the specimen came to no peak within a strain of {axial[-1]:.2%}, where it bears "
+            f"{normal_stiffness * stress[-1]:.4g} Pa; try a larger test.largest_strain, a smaller "
+            "confining stress or more friction"
+        )
+    start = 0.0 if test.kind == "tension" else float(stress[0])
+    half = np.flatnonzero(stress[: peak + 1] - start >= ELASTIC * (stress[peak] - start))[0]
+    half = max(int(half), 1)
+    modulus = (stress[half] - stress[0]) / (axial[half] - axial[0])
+    ratio = (lateral[half] - lateral[0]) / (axial[half] - axial[0])
+    return StrengthTest(
+        youngs_modulus=np.array(normal_stiffness * modulus),
+        poissons_ratio=np.array(ratio),
+        peak_strength=np.array(normal_stiffness * stress[peak]),
+        crack_count=np.array(cracks[-1]),
+        cracks_at_peak=np.array(cracks[peak]),
+        axial_stress=normal_stiffness * stress,
+        axial_strain=axial,
+        lateral_strain=lateral,
+        cracks=cracks,
+        steps=np.array(specimen.steps),
+    )
+
+
+def relieve(packing: Packing) -> Packing:
+    """The packing at the pressure INSTALLED; a lattice is at rest without one."""
+    if float(packing.packing_pressure) <= INSTALLED:
+        return packing
+    specimen = specimen_of(packing, 1.0, 2.5, HOLDING, None)
+    held = Servo(INSTALLED, INSTALLED, INSTALLED, INSTALLED)
+    specimen.relax(held, Stop(ratio=0.01, stress=0.05), damping=FIRE, steps=3000)
+    unit = float(packing.radius.mean())
+    grains, pairs = specimen.grains, specimen.pairs
+    centre = np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]]) * 0.5
+    a, b = measures.listed(pairs)
+    overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
+    touch = overlap > 0.0
+    return packing._replace(
+        x=centre[0] + unit * grains.x,
+        y=centre[1] + unit * grains.y,
+        contact_a=a[touch],
+        contact_b=b[touch],
+        normal_force=unit * overlap[touch],
+        shear_force=unit * pairs.shear[touch],
+        box=unit * specimen.box + np.repeat(centre, 2),
+        packing_pressure=np.array(INSTALLED),
+    )
+
+
+def _press(specimen: Specimen, test: Test, kn: float) -> tuple[Array, Array, Array, Array]:
+    """Stress, axial strain and lateral strain (extension positive), cracks of a biaxial test."""
+    confining = max(test.confining_stress / kn, LEAST_STRESS)
+    hold = Servo(INSTALLED, INSTALLED, confining, confining, pace=np.inf)
+    specimen.relax(hold, Stop(ratio=0.02, stress=0.1), damping=DAMPING, steps=4000)
+    if not 0.5 < specimen.sums.virial_xx / _area(specimen.box) / confining < 2.0:
+        raise ModelError(
+            f"the specimen does not hold the confining stress of {test.confining_stress:.4g} Pa; "
+            "try a lower one, more friction or bonds"
+        )
+    drive = Servo(confining, confining, confining, confining, drive_y=-test.strain_step)
+    gauge = Gauge(specimen)
+    per_record = max(1, round(test.largest_strain / RECORDS / test.strain_step))
+    rows = [(_platens(specimen), 0.0, 0.0, _cracks(specimen))]
+    never = Stop(ratio=NEVER, stress=np.inf)
+    peak, taken = rows[0][0], 0
+    while taken * test.strain_step < test.largest_strain:
+        specimen.relax(drive, never, damping=DAMPING, steps=per_record)
+        lateral, axial = gauge.strains()
+        rows.append((_platens(specimen), -axial, lateral, _cracks(specimen)))
+        taken += per_record
+        peak = max(peak, rows[-1][0])
+        if rows[-1][0] < FALLEN * peak and peak > 1.2 * rows[0][0]:
+            break
+    return _columns(rows)
+
+
+def _pull(specimen: Specimen, test: Test) -> tuple[Array, Array, Array, Array]:
+    """The same of a direct tension test; tension and elongation positive."""
+    grains, box = specimen.grains, specimen.box
+    width, height = box[1] - box[0], box[3] - box[2]
+    top, bottom = grains.y > box[3] - GRIP, grains.y < box[2] + GRIP
+    grains.inverse_mass[top | bottom] = 0.0
+    gauge = Gauge(specimen)
+    box += 10.0 * np.array([-width, width, -height, height])  # no walls
+    length = height - GRIP
+    speed = 0.5 * test.strain_step * length / specimen.dt
+    grains.vy[:] = 2.0 * speed * grains.y / length
+    grains.vy[top], grains.vy[bottom] = speed, -speed
+    never = Stop(ratio=NEVER, stress=np.inf)
+    per_record = max(1, round(test.largest_strain / RECORDS / test.strain_step))
+    rows = [(0.0, 0.0, 0.0, 0.0)]
+    taken, peak = 0, 0.0
+    while taken * test.strain_step < test.largest_strain:
+        specimen.relax(STANDING, never, damping=DAMPING, steps=per_record)
+        taken += per_record
+        force = 0.5 * float(grains.fy[bottom].sum() - grains.fy[top].sum())
+        lateral, axial = gauge.strains()
+        rows.append((force / width, axial, lateral, _cracks(specimen)))
+        peak = max(peak, rows[-1][0])
+        if taken > 4 * per_record and rows[-1][0] < FALLEN * peak:
+            break
+    stress, strain, narrowing, cracks = _columns(rows)
+    return stress, strain, -narrowing, cracks
+
+
+class Gauge:
+    """Strains of the middle of a specimen, away from walls and grips, since it was put on."""
+
+    def __init__(self, specimen: Specimen):
+        grains, box = specimen.grains, specimen.box
+        half = 0.5 * GAUGE * np.array([box[1] - box[0], box[3] - box[2]])
+        self.specimen = specimen
+        self.inside = (np.abs(grains.x) < half[0]) & (np.abs(grains.y) < half[1])
+        self.x, self.y = grains.x[self.inside].copy(), grains.y[self.inside].copy()
+
+    def strains(self) -> tuple[float, float]:
+        """Strains xx and yy, extension positive."""
+        grains = self.specimen.grains
+        u, v = grains.x[self.inside] - self.x, grains.y[self.inside] - self.y
+        tensor = measures.affine_strain(self.x, self.y, u, v)
+        return float(tensor[0, 0]), float(tensor[1, 1])
+
+
+def _columns(rows: list[tuple[float, float, float, float]]) -> tuple[Array, Array, Array, Array]:
+    stress, axial, lateral, cracks = np.array(rows).T
+    return stress, axial, lateral, cracks
+
+
+def _area(box: Array) -> float:
+    return float((box[1] - box[0]) * (box[3] - box[2]))
+
+
+def _platens(specimen: Specimen) -> float:
+    """Mean stress on the bottom and top walls."""
+    return float(
+        0.5 * (specimen.sums.bottom + specimen.sums.top) / (specimen.box[1] - specimen.box[0])
+    )
+
+
+def _cracks(specimen: Specimen) -> float:
+    return float(np.count_nonzero(specimen.bonds.state != INTACT))
