@@ -5,6 +5,7 @@ import pytest
 
 from model.mechanics import measures
 from model.mechanics.floaters import fit, largest_circle
+from model.mechanics.packing import pack
 from model.region import Circle, Polygon
 from tests.mechanics.rocks import REGIONS, packed
 from tests.mechanics.test_stress import loaded
@@ -51,9 +52,8 @@ def test_force_chains_follow_the_larger_stress() -> None:
     held = chain >= 0
     assert 0.05 < held.mean() < 0.6
     assert state.normal_force[held].mean() > 1.3 * state.normal_force.mean()
-    along = np.abs(state.x[b] - state.x[a]) / np.hypot(
-        state.x[b] - state.x[a], state.y[b] - state.y[a]
-    )
+    dx, dy = state.x[b] - state.x[a], state.y[b] - state.y[a]
+    along = np.abs(dx) / np.hypot(dx, dy)
     assert along[held].mean() > along.mean() + 0.05
     assert sorted(set(chain[held])) == list(range(chain.max() + 1))
 
@@ -75,8 +75,6 @@ def test_largest_circle_between_three_discs() -> None:
 
 
 def test_floaters_are_fitted_without_overlap_and_touch_three() -> None:
-    from model.mechanics.packing import pack
-
     def packing(floaters: str):
         return pack(
             region=REGIONS["square"], count=400, mean_radius=None, packing="random",
