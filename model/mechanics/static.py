@@ -225,8 +225,8 @@ def _correct(
     """
     factor = Factor(units.order, units.start, units.row, units.lower, units.pivot)
     shear = wanted[2] * float(units.shear_strain)
-    steps: list[Array] = []
-    changes: list[Array] = []
+    steps, changes = np.empty((2, MEMORY, len(u)))
+    learnt = 0
     before, best, correction = u, u.copy(), np.empty(0)
     least, share = np.inf, 1.0
     for corrections in range(most + 1):
@@ -235,20 +235,22 @@ def _correct(
             break
         if not ratio <= 10.0 * least:  # led astray: back to the best, more carefully
             u[:] = best
-            steps, changes, share, correction = [], [], 0.3 * share, np.empty(0)
+            learnt, share, correction = 0, 0.3 * share, np.empty(0)
             residual, _ = trial.forces(u, shear, wanted)
         elif ratio < least:
             best, least = u.copy(), ratio
         last, correction = correction, share * solve(factor, residual)
         if last.size:
-            changes.append(correction - last)
-            steps.append(u - before + changes[-1])
-            del changes[:-MEMORY], steps[:-MEMORY]
+            row = learnt % MEMORY
+            changes[row] = correction - last
+            steps[row] = u - before + changes[row]
+            learnt += 1
         before = u.copy()
         u += correction
-        if changes:
-            basis = np.column_stack(changes)
-            u -= np.column_stack(steps) @ np.linalg.lstsq(basis, correction, rcond=1e-12)[0]
+        if learnt:
+            kept = changes[:learnt]  # all of them, once there are more than MEMORY
+            mix = np.linalg.lstsq(kept @ kept.T, kept @ correction, rcond=1e-14)[0]
+            u -= mix @ steps[:learnt]
     return corrections, ratio
 
 

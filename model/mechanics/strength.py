@@ -100,13 +100,15 @@ def relieve(packing: Packing) -> Packing:
     centre = np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]]) * 0.5
     a, b = measures.listed(pairs)
     overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
-    touch = overlap > 0.0
+    # cement stands at every contact of the packed state, also where it opened by a hair
+    n = len(grains.x)
+    touch = (overlap > 0.0) | np.isin(a * n + b, packing.contact_a * n + packing.contact_b)
     return packing._replace(
         x=centre[0] + unit * grains.x,
         y=centre[1] + unit * grains.y,
         contact_a=a[touch],
         contact_b=b[touch],
-        normal_force=unit * overlap[touch],
+        normal_force=unit * np.maximum(overlap[touch], 0.0),
         shear_force=unit * pairs.shear[touch],
         box=unit * specimen.box + np.repeat(centre, 2),
         packing_pressure=np.array(INSTALLED),

@@ -1,4 +1,8 @@
-"""The stage *stress*: packed grains, bonded or not, loaded by four walls.
+"""The stages *unit_loads* and *stress*: packed grains, bonded or not, loaded by four walls.
+
+Bonded grains are tried by the static solver (`static`), whose states do not depend on a path
+but for slip at cemented contacts; where a bond would break, and without bonds, grains are
+moved along a path.
 
 Path: bonds are installed on the contacts of the packed state, then the stresses of the walls
 move on a straight line from those of the packed state (equal on all walls; LEAST_START of the
@@ -73,10 +77,10 @@ def load(
 
     Parameters
     ----------
-    units : their linear response (`unit_loads`), with which the static solver tries first; the
-        explicit one takes over where a bond would break.
     packing : the packed state; its forces over k_n are scaled with the stiffness, shear forces
         beyond friction are cut.
+    units : its linear response (`unit_loads`), with which the static solver tries first; the
+        explicit one takes over where a bond would break.
     normal_stiffness : k_n of contacts, also with the walls, N/m per metre of depth.
     stiffness_ratio : k_n / k_s.
     friction : Coulomb coefficient between grains; walls are frictionless.

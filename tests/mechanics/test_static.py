@@ -167,3 +167,26 @@ def test_contradictions_are_told() -> None:
     with pytest.raises(SceneError, match="method"):
         Stress(xx=1e6, yy=1e6, method="magic")
     assert Stress(xx=2e6, yy=1e6, angle=np.pi / 2).components == pytest.approx((1e6, 2e6, 0.0))
+
+
+def test_cement_without_strength_is_no_cement() -> None:
+    """Zero strengths break at once: an outcome of the explicit solver, never a static state."""
+    rock = packed()
+    crumbs = Bonds(kind="contact", tensile_strength=0.0, shear_strength=0.0)
+    state = loaded(rock, responses(rock, crumbs), crumbs, xx=30e6, yy=25e6)
+    assert int(state.static) == 0
+    assert int(state.broken_bonds) > 0.9 * len(rock.contact_a)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_few_grains(count: int) -> None:
+    rock, bonds = packed(0.18, count=count), STRONG["parallel"]
+    state = loaded(rock, responses(rock, bonds), bonds, xx=30e6, yy=25e6)
+    np.testing.assert_allclose(state.wall_stress, 1e6 * np.array([30, 30, 25, 25]), rtol=0.005)
+
+
+@pytest.mark.parametrize("kind", ["square", "hexagonal"])
+def test_lattices_at_rest_are_loaded(kind: str) -> None:
+    rock, bonds = packed(None, kind=kind, count=100), STRONG["parallel"]
+    state = loaded(rock, responses(rock, bonds), bonds, xx=30e6, yy=25e6)
+    np.testing.assert_allclose(state.wall_stress, 1e6 * np.array([30, 30, 25, 25]), rtol=0.005)
