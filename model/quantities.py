@@ -21,12 +21,23 @@ class Quantity(NamedTuple):
     transient: bool = False  # has a meaning in time only, not in a steady study
     constants: tuple[tuple[str, float], ...] = ()  # further attributes
     gaps: bool = False  # may be NaN in places where the case is good
+    comment: str = ""  # how it is found, where that is not plain
+
+
+SUPERPOSED = (
+    "superposed: one response to a unit step of each well and side, scaled by every change of "
+    "rate or pressure and shifted to its time; cases that differ in these alone share it"
+)
 
 
 # Variables of the dataset, one value or array per case.
 CASE: dict[str, Quantity] = {
     "well_pressure": Quantity(
-        "Pa", ("well", "elapsed_time"), "bottom-hole pressure", ("well_pressure",)
+        "Pa",
+        ("well", "elapsed_time"),
+        "bottom-hole pressure",
+        ("well_pressure",),
+        comment=SUPERPOSED,
     ),
     "well_rate": Quantity(
         "m3 s-1",
@@ -59,6 +70,7 @@ CASE: dict[str, Quantity] = {
         ("boundary", "elapsed_time"),
         "flow through the boundary for unit depth, positive into the region",
         ("boundary_flow",),
+        comment=SUPERPOSED,
     ),
     "probe_pressure": Quantity(
         "Pa",
@@ -66,6 +78,7 @@ CASE: dict[str, Quantity] = {
         "pressure of the pore at the probe",
         ("probe_pressure",),
         gaps=True,
+        comment=SUPERPOSED,
     ),
     "porosity": Quantity("1", (), "pore volume over polygon area of the domains in the region"),
     "matrix_aperture": Quantity("m", (), "unstressed pipe aperture of the matrix, w0"),
@@ -121,6 +134,7 @@ CASE: dict[str, Quantity] = {
 # Variables that the sweep adds to each case.
 SWEEP: dict[str, Quantity] = {
     "compute_time": Quantity("s", (), "time spent in the stages that this case caused to run"),
+    "stage_time": Quantity("s", ("stage",), "time of the stage run, shared or not"),
     "solver_time": Quantity(
         "s", (), "processor time of the flow solver, which equal cases share", ("time_error",)
     ),
@@ -137,6 +151,7 @@ COORDINATES: dict[str, Quantity] = {
     "row": Quantity("", ("row",), "row of a tensor"),
     "column": Quantity("", ("column",), "column of a tensor"),
     "component": Quantity("", ("component",), "component of the stress"),
+    "stage": Quantity("", ("stage",), "stage of a case"),
 }
 
 # Variables of one case's maps.
@@ -144,7 +159,13 @@ MAPS: dict[str, Quantity] = {
     "x": Quantity("m", ("domain",), "x of the centroid of the domain"),
     "y": Quantity("m", ("domain",), "y of the centroid of the domain"),
     "volume": Quantity("m3", ("domain",), "pore volume for unit depth"),
-    "pressure": Quantity("Pa", ("elapsed_time", "domain"), "pore pressure", ("pressure_map",)),
+    "pressure": Quantity(
+        "Pa",
+        ("elapsed_time", "domain"),
+        "pore pressure",
+        ("pressure_map",),
+        comment=SUPERPOSED,
+    ),
     "aperture": Quantity("m", ("pipe",), "aperture of the pipe"),
     "conductance": Quantity("m3 s-1 Pa-1", ("pipe",), "conductance of the pipe for unit depth"),
     "from_domain": Quantity("1", ("pipe",), "domain at one end of the pipe"),

@@ -2,8 +2,9 @@
 
 The file is filled tile by tile, a few thousand cases at a time, so that memory does not
 grow with their number. It is written aside and renamed. A case without a product is NaN
-and has its status and its message. All of it follows from the study but `compute_time`, which
-was measured: it alone differs between two runs that both start from nothing.
+and has its status and its message. All of it follows from the study but `compute_time` and
+`stage_time`, which were measured: they alone differ between two runs that both start from
+nothing.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import netCDF4
 import numpy as np
@@ -44,8 +45,8 @@ __all__ = [
 ]
 
 CONVENTIONS = "CF-1.11"
-TILE_CASES = 4096  # cases that are held in memory at once
-TILE_BYTES = 128_000_000  # or fewer, if their numbers are many
+TILE_CASES = 2048  # cases that are held in memory at once
+TILE_BYTES = 16_000_000  # or fewer, if their numbers are many
 FIXED = {"row": ("x", "y"), "column": ("x", "y"), "component": ("xx", "yy", "xy")}
 TEXT = str  # netCDF-4 strings
 
@@ -104,20 +105,18 @@ def collect(
     try:
         labels = _labels(plan, scene_of)
         with netCDF4.Dataset(aside, "w", format="NETCDF4") as file:
-            writer = _Writer(file, study, labels)
+            source = _Source(plan, store)
+            writer = _Writer(file, study, labels, source.stages)
             for tile in _tiles(study.shape, _cases_in_memory(plan, store, verdicts)):
                 writer.begin(tile)
                 for case in tile.cases:
                     if verdicts[case].status is Status.DONE:
-                        _take(case, plan, store, scene_of, writer)
-                    spent = {"compute_time": _seconds(case, plan, store, writer)}
-                    if "solver_time" in file.variables:
-                        spent["solver_time"] = _solver_seconds(case, plan, store)
-                    writer.end_case(case, verdicts[case], spent)
+                        writer.add(case, source.result(case))
+                    writer.end_case(case, verdicts[case], source.spent(case))
                 writer.flush()
-            writer.describe(plan, digest)
-        if writer.damaged:
-            return writer.damaged
+            writer.describe(plan, digest, source.origins)
+        if source.damaged:
+            return source.damaged
         with open(aside, "rb+") as written:
             os.fsync(written.fileno())
             sha256 = hashlib.file_digest(written, "sha256").hexdigest()
@@ -157,7 +156,15 @@ def collected_digest(path: Path) -> str | None:
 def quantity_attributes(quantity: Quantity) -> dict[str, str | float]:
     """CF attributes of a quantity; what is a name has no unit."""
     unit = {"units": quantity.unit} if quantity.unit else {}
-    return {**unit, "long_name": quantity.long_name, **dict(quantity.constants)}
+    comment = {"comment": quantity.comment} if quantity.comment else {}
+    return {**unit, "long_name": quantity.long_name, **comment, **dict(quantity.constants)}
+
+
+class _Layout(NamedTuple):
+    """What a case has along the dimensions of the dataset."""
+
+    times: tuple[float, ...]  # s
+    names: dict[str, tuple[str, ...]]  # dimension -> names, in the order of the stages' results
 
 
 @dataclass(frozen=True)
@@ -168,29 +175,37 @@ class _Labels:
     names: dict[str, dict[str, tuple[float, float]]]  # dimension -> name -> place
     observed: tuple[str, ...]
     seeds: tuple[int, ...]
+    layouts: list[_Layout]  # the different ones
+    layout_of: np.ndarray  # (cases,) index of each case's own; −1 where it cannot be
 
 
 def _labels(plan: Plan, scene_of: Callable[[int], Scene]) -> _Labels:
     """What all scenes together name. Cases may differ in times, wells, sides and probes."""
-    times: set[tuple[float, ...]] = set()
     names: dict[str, dict[str, tuple[float, float]]] = {"well": {}, "boundary": {}, "probe": {}}
     observed: dict[str, None] = {}
     seeds: set[int] = set()
+    layouts: dict[tuple[Any, ...], int] = {}
+    layout_of = np.full(len(plan.cases), -1, dtype=np.int32)
     for case in range(len(plan.cases)):
         if case in plan.impossible:
             continue
         scene = scene_of(case)
-        times.add(scene.times)
         observed |= dict.fromkeys(scene.observe)
         seeds.add(scene.grains.seed)
-        for well in scene.wells:
-            names["well"].setdefault(well.name, well.at)
-        for side, _ in scene.boundaries:
-            names["boundary"].setdefault(side, (math.nan, math.nan))
-        for probe in scene.probes:
-            names["probe"].setdefault(probe.name, probe.at)
+        own = {
+            "well": {well.name: well.at for well in scene.wells},
+            "boundary": {side: (math.nan, math.nan) for side, _ in scene.boundaries},
+            "probe": {probe.name: probe.at for probe in scene.probes},
+        }
+        for dimension, places in own.items():
+            for name, at in places.items():
+                names[dimension].setdefault(name, at)
+        key = (scene.times, *(tuple(places) for places in own.values()))
+        layout_of[case] = layouts.setdefault(key, len(layouts))
+    times = {key[0] for key in layouts}
     every = np.unique(np.concatenate([np.array(t, dtype=float) for t in times] or [np.empty(0)]))
-    return _Labels(every, names, tuple(observed), tuple(sorted(seeds)))
+    found = [_Layout(key[0], dict(zip(names, key[1:], strict=True))) for key in layouts]
+    return _Labels(every, names, tuple(observed), tuple(sorted(seeds)), found, layout_of)
 
 
 @dataclass(frozen=True)
@@ -233,43 +248,67 @@ def _cases_in_memory(plan: Plan, store: Store, verdicts: Sequence[Verdict]) -> i
     return TILE_CASES
 
 
-def _take(
-    case: int, plan: Plan, store: Store, scene_of: Callable[[int], Scene], writer: _Writer
-) -> None:
-    """Read what the last stage of a case found, and hand it to the writer."""
-    identity = plan.runs[int(plan.cases[case, -1])].id
-    try:
-        stored = store.get(identity)
-    except (DamagedError, MissingError) as error:
-        writer.damaged.append(str(error))
-        return
-    writer.versions_met(stored.meta.get("versions", {}))
-    writer.add(case, scene_of(case), stored.arrays)
+@dataclass
+class _Source:
+    """Reads what the stages left in the store, and notes where it comes from."""
 
+    plan: Plan
+    store: Store
+    damaged: list[str] = field(default_factory=list)
+    origins: dict[str, set[str]] = field(default_factory=dict)  # versions and machines met
 
-def _seconds(case: int, plan: Plan, store: Store, writer: _Writer) -> float:
-    """Time spent in the stage runs that this case is the first to want."""
-    total = 0.0
-    for run in plan.case_runs(case):
-        if plan.runs[run].case != case:
-            continue
-        identity = plan.runs[run].id
+    def __post_init__(self) -> None:
+        wanted = self.plan.wanted()
+        self.rows = [row for row in range(len(self.plan.stages)) if wanted[row]]
+        self.stages = tuple(self.plan.stages[row].name for row in self.rows)
+        self.times = np.full((len(self.plan.runs), 2), np.nan)  # s by the clock, of the processor
+        self.met = np.zeros(len(self.plan.runs), dtype=bool)  # runs whose times were looked up
+
+    def result(self, case: int) -> Mapping[str, np.ndarray]:
+        """What the last stage of a case found; nothing where that is damaged."""
+        run = int(self.plan.cases[case, -1])
         try:
-            total += store.meta(identity)["seconds"]
+            stored = self.store.get(self.plan.runs[run].id)
+        except (DamagedError, MissingError) as error:
+            self.damaged.append(str(error))
+            return {}
+        self._note(run, stored.meta)
+        return stored.arrays
+
+    def spent(self, case: int) -> dict[str, np.ndarray]:
+        """Times of a case in s, under their names in `model.quantities.SWEEP`."""
+        times = np.full((len(self.plan.stages), 2), np.nan)
+        caused = np.zeros(len(self.plan.stages), dtype=bool)
+        for row in self.rows:
+            run = int(self.plan.cases[case, row])
+            if run >= 0:
+                if not self.met[run]:
+                    self._look_up(run)
+                times[row] = self.times[run]
+                caused[row] = self.plan.runs[run].case == case
+        solver = [row for row in self.rows if self.plan.stages[row].name == "flow"]
+        return {
+            "compute_time": np.nansum(times[caused, 0]),
+            "stage_time": times[self.rows, 0],
+            "solver_time": times[solver, 1].sum() if solver else np.asarray(math.nan),
+        }
+
+    def _look_up(self, run: int) -> None:
+        identity = self.plan.runs[run].id
+        try:
+            self._note(run, self.store.meta(identity))
         except MissingError:
-            total += (store.failure(identity) or {}).get("seconds", 0.0)
+            self._note(run, self.store.failure(identity) or {})
         except DamagedError as error:
-            writer.damaged.append(str(error))
-    return total
+            self.damaged.append(str(error))
 
-
-def _solver_seconds(case: int, plan: Plan, store: Store) -> float:
-    """Processor time of the flow stage of a case, whichever case caused it to run."""
-    for run in plan.case_runs(case):
-        if plan.stage_of(run).name == "flow":
-            with suppress(MissingError, DamagedError):
-                return float(store.meta(plan.runs[run].id).get("cpu_seconds", math.nan))
-    return math.nan
+    def _note(self, run: int, meta: Mapping[str, Any]) -> None:
+        self.met[run] = True
+        self.times[run] = meta.get("seconds", math.nan), meta.get("cpu_seconds", math.nan)
+        for name, number in meta.get("versions", {}).items():
+            self.origins.setdefault(f"{name}_version", set()).add(number)
+        if "machine" in meta:
+            self.origins.setdefault("machine", set()).add(meta["machine"])
 
 
 @dataclass
@@ -279,11 +318,11 @@ class _Writer:
     file: netCDF4.Dataset
     study: Study
     labels: _Labels
-    damaged: list[str] = field(default_factory=list)
+    stages: tuple[str, ...]  # those that some case runs
     blocks: dict[str, np.ndarray] = field(default_factory=dict)  # variable -> (cases of tile, …)
-    versions: dict[str, set[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        self.places: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
         self.axes = tuple(axis.name for axis in self.study.axes)
         for axis in self.study.axes:
             self.file.createDimension(axis.name, len(axis.values))
@@ -291,7 +330,8 @@ class _Writer:
                 self._axis_coordinate(axis.name, coordinate)
         self._status()
         for name, quantity in SWEEP.items():
-            if not quantity.needs or set(quantity.needs) & set(self.labels.observed):
+            unasked = quantity.needs and not set(quantity.needs) & set(self.labels.observed)
+            if not unasked and (self.stages or "stage" not in quantity.dimensions):
                 self._variable(name, quantity)
         for name, quantity in CASE.items():
             # what was asked for is there, be it NaN in every case
@@ -306,24 +346,27 @@ class _Writer:
         self.message = np.full(len(tile.cases), "", dtype=object)
         self.blocks = {}
 
-    def add(self, case: int, scene: Scene, arrays: Mapping[str, np.ndarray]) -> None:
+    def add(self, case: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the numbers of one case."""
         for name, array in arrays.items():
-            variable = self._variable(name, CASE[name])
-            sizes = variable.shape[len(self.axes) :]
-            if name not in self.blocks:
-                self.blocks[name] = np.full((len(self.tile.cases), *sizes), np.nan)
-            dimensions = CASE[name].dimensions
-            target = self.blocks[name][case - self.tile.cases.start, ...]
-            _place(target, np.asarray(array, dtype=float), self._where(dimensions, scene))
+            target = self._block(name, CASE[name])[case - self.tile.cases.start, ...]
+            where = self._where(name, int(self.labels.layout_of[case]))
+            _place(target, np.asarray(array, dtype=float), where)
 
-    def end_case(self, case: int, ended: Verdict, spent: Mapping[str, float]) -> None:
+    def end_case(self, case: int, ended: Verdict, spent: Mapping[str, np.ndarray]) -> None:
         """Take how a case ended, and the times that it took."""
         k = case - self.tile.cases.start
         self.status[k], self.message[k] = int(ended.status), ended.message
         for name, seconds in spent.items():
-            times = self.blocks.setdefault(name, np.full(len(self.tile.cases), np.nan))
-            times[k] = seconds
+            if name in self.file.variables:
+                self._block(name, SWEEP[name])[k] = seconds
+
+    def _block(self, name: str, quantity: Quantity) -> np.ndarray:
+        """Room for a variable in the cases of the tile."""
+        if name not in self.blocks:
+            sizes = self._variable(name, quantity).shape[len(self.axes) :]
+            self.blocks[name] = np.full((len(self.tile.cases), *sizes), np.nan)
+        return self.blocks[name]
 
     def flush(self) -> None:
         """Write the cases that were taken."""
@@ -335,16 +378,12 @@ class _Writer:
         # netCDF4 takes a single string only at a bare ellipsis
         self.file["message"][(*at, ...) if shape else ...] = message
 
-    def versions_met(self, versions: Mapping[str, str]) -> None:
-        """Note which versions computed a case."""
-        for name, number in versions.items():
-            self.versions.setdefault(name, set()).add(number)
-
-    def describe(self, plan: Plan, digest: str) -> None:
+    def describe(self, plan: Plan, digest: str, origins: Mapping[str, set[str]]) -> None:
         """Write what the dataset is, where it comes from, and what made it."""
         study = self.study
         now = datetime.now(UTC).isoformat(timespec="seconds")
-        made_by = {name: ", ".join(sorted(met)) for name, met in sorted(self.versions.items())}
+        made_by = {name: ", ".join(sorted(met)) for name, met in sorted(origins.items())}
+        counted = zip(plan.stages, plan.counts(), strict=True)
         attributes = {
             "Conventions": CONVENTIONS,
             "title": study.title,
@@ -355,11 +394,12 @@ class _Writer:
             "study_sha256": study.sha256,
             "study_smoke": "yes" if study.smoke else "no",
             "seed": ", ".join(map(str, self.labels.seeds)),
-            "demflow_version": installed("demflow"),
             "demflow_digest": digest,
             "stage_versions": ", ".join(f"{s.name} {s.version}" for s in plan.stages),
-            "machine": platform.machine(),
-            **{f"{name}_version": met for name, met in made_by.items() if name != "demflow"},
+            "stage_runs": f"{', '.join(f'{s.name} {n}' for s, n in counted)} "
+            f"behind {len(plan.cases)} cases",
+            "demflow_version": installed("demflow"),  # where nothing was done
+            **made_by,
             "netCDF4_version": installed("netCDF4"),
             "xarray_version": installed("xarray"),
         }
@@ -388,6 +428,8 @@ class _Writer:
             return self._numbers(name, name, self.labels.times)
         if name in FIXED:
             return self._words(name, FIXED[name])
+        if name == "stage":
+            return self._words(name, self.stages)
         places = self.labels.names[name]
         made = self._words(name, tuple(places))
         if name == "probe" and made:
@@ -437,30 +479,21 @@ class _Writer:
         message = self.file.createVariable("message", TEXT, self.axes, fill_value=False)
         message.setncattr("long_name", "why the case has no result, and what to try")
 
-    def _where(self, dimensions: tuple[str, ...], scene: Scene) -> list[tuple[str, np.ndarray]]:
-        """Positions of a case's own times and names along the dimensions of the dataset."""
-        found = []
-        for name in dimensions:
-            if name not in self.file.dimensions:
-                continue
-            if name == "elapsed_time":
-                own = np.searchsorted(self.labels.times, np.array(scene.times, dtype=float))
-            elif name in FIXED:
-                own = np.arange(len(FIXED[name]))
-            else:
-                every = list(self.labels.names[name])
-                own = np.array([every.index(n) for n in _names(scene, name)], dtype=int)
-            found.append((name, own))
-        return found
+    def _where(self, name: str, layout: int) -> list[tuple[str, np.ndarray]]:
+        """Positions of a case's own times and names along the dimensions of a variable."""
+        if (name, layout) not in self.places:
+            own = self.labels.layouts[layout]
+            kept = [d for d in CASE[name].dimensions if d in self.file.dimensions]
+            self.places[name, layout] = [(d, self._positions(d, own)) for d in kept]
+        return self.places[name, layout]
 
-
-def _names(scene: Scene, dimension: str) -> list[str]:
-    """Names that a scene has along a dimension, in the order in which stages return them."""
-    if dimension == "well":
-        return [well.name for well in scene.wells]
-    if dimension == "boundary":
-        return [side for side, _ in scene.boundaries]
-    return [probe.name for probe in scene.probes]
+    def _positions(self, dimension: str, own: _Layout) -> np.ndarray:
+        if dimension == "elapsed_time":
+            return np.searchsorted(self.labels.times, np.array(own.times, dtype=float))
+        if dimension in FIXED:
+            return np.arange(len(FIXED[dimension]))
+        every = list(self.labels.names[dimension])
+        return np.array([every.index(name) for name in own.names[dimension]], dtype=int)
 
 
 def _place(target: np.ndarray, array: np.ndarray, where: list[tuple[str, np.ndarray]]) -> None:

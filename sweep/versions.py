@@ -22,3 +22,18 @@ def versions() -> dict[str, str]:
     """Return the versions of Python, demflow and the numerical libraries, by name."""
     found = {"python": platform.python_version()}
     return found | {name: installed(name) for name in ("demflow", *NUMERICAL)}
+
+
+@cache
+def machine() -> str:
+    """Return what kind of machine this is: architecture, processor and system."""
+    return ", ".join(filter(None, (platform.machine(), _processor(), platform.system())))
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as file:
+            named = (line.partition(":")[2].strip() for line in file if "model name" in line)
+            return next(named, "")
+    except OSError:
+        return platform.processor()

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import platform
 import resource
 import signal
 import socket
@@ -31,7 +30,7 @@ from model.parameters import SceneError
 from model.quantities import CASE
 from sweep.stages import Status, stage_table
 from sweep.store import DamagedError, MissingError, Store, Stored, canonical, pack, unpack
-from sweep.versions import versions
+from sweep.versions import machine, versions
 
 if TYPE_CHECKING:
     from model.stages import Stage
@@ -189,7 +188,7 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
         status, message = Status.DONE, ""
     seconds = time.perf_counter() - begin
     meta |= {"seconds": seconds, "cpu_seconds": time.process_time() - cpu}
-    meta |= {"machine": platform.machine(), "host": socket.gethostname()}
+    meta |= {"machine": machine(), "host": socket.gethostname()}
     meta |= {"worker": os.getpid(), "versions": versions()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     if status is not Status.DONE:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import platform
 import subprocess
 import sys
 
@@ -50,6 +51,7 @@ def test_every_case_lies_where_its_coordinates_say(finished):
         "well": 1,
         "elapsed_time": 3,
         "component": 3,
+        "stage": 4,
     }
     packed = {seed: toy_stages.pack(count=50, seed=seed) for seed in (1, 2)}
     for seed in (1, 2):
@@ -83,6 +85,34 @@ def test_the_time_spent_adds_up(finished):
     assert total > 0
 
 
+def test_each_case_tells_the_time_of_its_stages(finished):
+    """Shared runs count in full in every case, and once in what the cases caused."""
+    path, ran = finished
+    made = prepare(path, ran.folder.parent, table=toys.TABLE)
+    dataset = open_results(ran.folder)
+    told = dataset.stage_time.values.reshape(len(made.plan.cases), -1)
+    assert list(dataset.stage.values) == ["pack", "stress", "flow", "observe"]
+    for case, runs in enumerate(made.plan.cases):
+        for run, seconds in zip(runs, told[case], strict=True):
+            identity = made.plan.runs[run].id
+            record = (
+                made.store.meta(identity)
+                if made.store.has(identity)
+                else made.store.failure(identity) or {}
+            )
+            np.testing.assert_equal(seconds, record.get("seconds", np.nan))
+    # what follows a failed stage was not run
+    failed = dataset.sel(rate=toy_stages.RAISES).stage_time
+    assert np.isnan(failed.sel(stage="observe")).all()
+    assert not np.isnan(failed.sel(stage="pack")).any()
+
+
+def test_what_is_superposed_says_so(finished):
+    comment = open_results(finished[1].folder).well_pressure.attrs["comment"]
+    assert "unit step" in comment
+    assert "share" in comment
+
+
 def test_units_and_names_are_those_of_the_table(finished):
     dataset = open_results(finished[1].folder)
     for name, quantity in {**CASE, **SWEEP}.items():
@@ -104,6 +134,8 @@ def test_the_dataset_says_where_it_comes_from(finished):
     assert attributes["study_text"] == path.read_text()
     assert attributes["seed"] == "1, 2"
     assert attributes["stage_versions"] == "pack 1, stress 1, flow 1, observe 1"
+    assert attributes["stage_runs"] == "pack 2, stress 4, flow 12, observe 12 behind 12 cases"
+    assert attributes["machine"].startswith(platform.machine())
     for name in ("numpy", "scipy", "numba", "qdldl", "xarray", "netCDF4", "python"):
         assert attributes[f"{name}_version"][0].isdigit()
     assert (ran.folder / "study.yaml").read_text() == path.read_text()

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from model.quantities import SWEEP
 from sweep.engine import prepare
 from sweep.lock import FolderLock, LockedError
 from sweep.results import open_results
@@ -26,7 +27,7 @@ RUNS = 2 + 4 + 12 + 12  # packs, stresses, flows, observers
 def data(folder: Path) -> dict:
     """All that a dataset holds but the times that were measured."""
     dataset = open_results(folder)
-    return {name: v for name, v in dataset.data_vars.items() if name != "compute_time"}
+    return {name: v for name, v in dataset.data_vars.items() if name not in SWEEP}
 
 
 def assert_same_bits(a: Path, b: Path) -> None:
