@@ -1,76 +1,155 @@
-"""What the runs of each stage have cost so far, on average: the base of every forecast.
+"""What stage runs have cost so far on this kind of machine, and what others would cost by that.
 
-Kept beside the store, in a file that may be lost without harm.
+A run costs what runs of its kind did: the same stage and version, the same solver, a scene of
+about the same size. Where none of that size was seen, the nearest size is scaled by a power law
+fitted to those that were. Kept beside the store, in a file that may be lost without harm.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from sweep.durable import write_durably
+from sweep.plan import SIZE_STEP, Kind
 from sweep.store import Store
+from sweep.versions import machine
 
-if TYPE_CHECKING:
-    from model.stages import Stage
+GROWTH = 1.0  # exponent of a stage that was seen at one size only: as the size
+DOUBT = 0.05  # weight of that exponent beside the spread of the sizes that were seen
+STEEPEST = 3.0
+OUTLIERS = 3  # runs from which the slowest, which loads the compiled code, does not count
 
 
 class Spent(NamedTuple):
-    """Totals over the runs of one stage."""
+    """Totals over the runs of one kind."""
 
     runs: int = 0
     seconds: float = 0.0
+    slowest: float = 0.0  # s
     stored: int = 0  # bytes
     memory: int = 0  # largest resident memory of a worker after such a run, bytes
 
+    def and_one(self, seconds: float, stored: int, memory: int) -> Spent:
+        """With one more run."""
+        return Spent(
+            self.runs + 1,
+            self.seconds + seconds,
+            max(self.slowest, seconds),
+            self.stored + stored,
+            max(self.memory, memory),
+        )
+
+    @property
+    def typical(self) -> float:
+        """Seconds of a run, without the slowest of several."""
+        if self.runs < OUTLIERS:
+            return self.seconds / self.runs
+        return (self.seconds - self.slowest) / (self.runs - 1)
+
 
 class Costs:
-    """Totals by stage and version: another version costs something else."""
+    """What was measured: totals by kind of run."""
 
-    def __init__(self, known: dict[str, Spent] | None = None):
-        self.known = dict(known or {})
+    def __init__(self) -> None:
+        self.known: dict[str, dict[int, Spent]] = {}  # by key, then by step of the size
 
     @classmethod
     def read(cls, store: Store) -> Costs:
-        """Return what earlier runs measured, nothing where that cannot be read."""
+        """Return what earlier runs measured, nothing where that cannot be read.
+
+        What another kind of machine took says nothing about this one.
+        """
+        costs = cls()
         try:
-            known = json.loads(_file(store).read_text())
-            return cls({key: Spent(*entry) for key, entry in known.items()})
-        except (OSError, ValueError, TypeError, AttributeError):
-            return cls()
+            told: dict[str, Any] = json.loads(_file(store).read_text())
+            if told["machine"] == machine():
+                costs.known = {
+                    key: {int(step): Spent(*entry) for step, entry in sizes.items()}
+                    for key, sizes in told["stages"].items()
+                }
+        except (OSError, ValueError, TypeError, AttributeError, KeyError):
+            pass
+        return costs
 
     def write(self, store: Store) -> None:
         """Keep the totals for the next run."""
-        write_durably(_file(store), json.dumps(self.known, indent=1).encode())
+        told = {"machine": machine(), "stages": self.known}
+        write_durably(_file(store), json.dumps(told, indent=1).encode())
 
-    def add(self, stage: Stage, seconds: float, stored: int, memory: int = 0) -> None:
-        """Count one more run of a stage."""
-        old = self._of(stage)
-        self.known[_key(stage)] = Spent(
-            old.runs + 1, old.seconds + seconds, old.stored + stored, max(old.memory, memory)
-        )
+    def add(self, kind: Kind, seconds: float, stored: int, memory: int = 0) -> None:
+        """Count one more run."""
+        sizes = self.known.setdefault(kind.key, {})
+        sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(seconds, stored, memory)
 
-    def seconds(self, stage: Stage) -> float | None:
-        """Mean seconds of a run, None if none was seen."""
-        spent = self._of(stage)
-        return spent.seconds / spent.runs if spent.runs else None
+    def seconds(self, kind: Kind) -> float | None:
+        """Expected seconds of a run, None if its stage was never run."""
+        times = {step: spent.typical for step, spent in self._sizes(kind).items()}
+        return scaled(times, self._sizes(kind), kind.step)
 
-    def stored(self, stage: Stage) -> float | None:
-        """Mean bytes of a product, None if none was seen."""
-        spent = self._of(stage)
-        return spent.stored / spent.runs if spent.runs else None
+    def stored(self, kind: Kind) -> float | None:
+        """Expected bytes of a product, None if its stage was never run."""
+        sizes = {step: spent.stored / spent.runs for step, spent in self._sizes(kind).items()}
+        return scaled(sizes, self._sizes(kind), kind.step)
 
-    def memory(self, stage: Stage) -> int | None:
-        """Largest memory of a worker after a run of the stage, bytes; None if none was seen."""
-        return self._of(stage).memory or None
+    def memory(self, kind: Kind) -> float | None:
+        """Expected memory of a worker after a run, bytes; None if its stage was never run.
 
-    def _of(self, stage: Stage) -> Spent:
-        return self.known.get(_key(stage), Spent())
+        What a process holds before it does anything does not grow with the case: as much as
+        the smallest that was seen.
+        """
+        peaks = {step: spent.memory for step, spent in self._sizes(kind).items() if spent.memory}
+        if not peaks:
+            return None
+        least = min(s.memory for sizes in self.known.values() for s in sizes.values() if s.memory)
+        near = _nearest(peaks, kind.step)
+        growth = math.exp(SIZE_STEP * (kind.step - near))
+        return least + (peaks[near] - least) * growth
+
+    def _sizes(self, kind: Kind) -> dict[int, Spent]:
+        return self.known.get(kind.key, {})
 
 
-def _key(stage: Stage) -> str:
-    return f"{stage.name}/{stage.version}"
+def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float | None:
+    """The value at a size: as measured there, else by a power law through the nearest size.
+
+    Parameters
+    ----------
+    values : positive values by size (steps of ln size).
+    seen : how often each size was seen.
+    step : the size that is asked for.
+    """
+    if not values:
+        return None
+    near = _nearest(values, step)
+    if near == step:
+        return values[near]
+    return values[near] * math.exp(exponent(values, seen) * SIZE_STEP * (step - near))
+
+
+def exponent(values: dict[int, float], seen: dict[int, Spent]) -> float:
+    """Slope of ln value over ln size, by least squares, each size by its runs.
+
+    It is drawn towards `GROWTH`, from which a few sizes close together do not take it away.
+    """
+    steps = [step for step, value in values.items() if value > 0.0]
+    if len(steps) < 2:
+        return GROWTH
+    x = SIZE_STEP * np.array(steps)
+    y = np.log([values[step] for step in steps])
+    weight = np.array([min(seen[step].runs, 10) for step in steps], dtype=float)
+    weight /= weight.sum()
+    x, y = x - weight @ x, y - weight @ y
+    slope = (weight @ (x * y) + DOUBT * GROWTH) / (weight @ (x * x) + DOUBT)
+    return float(min(max(slope, 0.0), STEEPEST))
+
+
+def _nearest(values: dict[int, Any], step: int) -> int:
+    return min(values, key=lambda near: (abs(near - step), near))
 
 
 def _file(store: Store) -> Path:

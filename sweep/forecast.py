@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 
 from sweep.cost import Costs
 from sweep.engine import Prepared
+from sweep.plan import Kind, Plan
 from sweep.schedule import Schedule, State
 
 
@@ -27,12 +29,15 @@ def forecast(prepared: Prepared, workers: int) -> dict[str, Any]:
     runs, wanted = made.counts(), made.wanted()
     kept = np.bincount(row[stored], minlength=count)
     bad = np.bincount(row[~stored & ~left], minlength=count)
-    waiting = np.bincount(row[left], minlength=count)
+    waiting = Counter(made.runs[k].kind for k in np.flatnonzero(left))
+    every = Counter(run.kind for run in made.runs)
+    seconds = {kind: costs.seconds(kind) for kind in every}
     stages: list[dict[str, Any]] = []
-    memory: list[float | None] = []
     for k, stage in enumerate(made.stages):
-        to_run = int(waiting[k])
-        each, volume = costs.seconds(stage), costs.stored(stage)
+        own = {kind: n for kind, n in waiting.items() if kind.stage == stage.name}
+        typical = own or {kind: n for kind, n in every.items() if kind.stage == stage.name}
+        to_run = sum(own.values())
+        time = _sum(_times(n, seconds[kind]) for kind, n in typical.items())
         stages.append(
             {
                 "name": stage.name,
@@ -42,25 +47,42 @@ def forecast(prepared: Prepared, workers: int) -> dict[str, Any]:
                 "stored": int(kept[k]),
                 "failed": int(bad[k]),
                 "to_run": to_run,
-                "seconds_each": each,
-                "seconds": _times(to_run, each),
-                "bytes": _times(to_run, volume),
+                "seconds_each": time / sum(typical.values()) if time else None,
+                "seconds": time if to_run else 0.0,
+                "bytes": _sum(_times(n, costs.stored(kind)) for kind, n in own.items()),
             }
         )
-        memory.append(_times(1 if to_run else 0, costs.memory(stage)))
-    seconds = _sum(stage["seconds"] for stage in stages)
-    known = [peak for peak in memory if peak is not None]
-    peak = max(known, default=0) if len(known) == len(memory) else None
+    peaks = [costs.memory(kind) for kind in waiting]
+    peak = None if None in peaks else max(filter(None, peaks), default=0.0)
     return {
         "study": prepared.study.name,
         "cases": len(made.cases),
         "impossible": len(made.impossible),
         "stages": stages,
-        "to_run": int(waiting.sum()),
-        "seconds": None if seconds is None else seconds / workers,
+        "to_run": sum(waiting.values()),
+        "seconds": _elapsed(made, left, seconds, workers),
         "bytes": _sum(stage["bytes"] for stage in stages),
         "memory": None if peak is None else peak * workers,
     }
+
+
+def _elapsed(
+    plan: Plan, left: np.ndarray, seconds: dict[Kind, float | None], workers: int
+) -> float | None:
+    """Seconds of all runs that are left: shared by the workers, or one after the other.
+
+    However many workers there are, a run cannot begin before its parents have ended.
+    """
+    total, longest = 0.0, 0.0
+    end: dict[int, float] = {}
+    for k in map(int, np.flatnonzero(left)):
+        own = seconds[plan.runs[k].kind]
+        if own is None:
+            return None
+        end[k] = own + max((end.get(p, 0.0) for p in plan.runs[k].parents), default=0.0)
+        total += own
+        longest = max(longest, end[k])
+    return max(total / workers, longest)
 
 
 def _times(count: int, each: float | None) -> float | None:

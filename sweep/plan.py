@@ -8,6 +8,7 @@ hundred thousand cases.
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,6 +22,38 @@ if TYPE_CHECKING:
     from model.stages import Stage
 
 
+SIZE_STEP = 0.1  # in the logarithm: sizes closer than that cost the same
+
+
+class Kind(NamedTuple):
+    """What decides the cost of a stage run."""
+
+    stage: str
+    version: int
+    variant: str  # how it is solved, "" where there is one way only
+    step: int  # its size, ln(grains) / SIZE_STEP
+
+    @classmethod
+    def of(cls, stage: Stage, scene: Scene) -> Kind:
+        """The kind of a stage's run for a scene."""
+        method = stage.reads.get("method")
+        variant = "" if method is None else str(method(scene))
+        return cls(stage.name, stage.version, variant, round(math.log(grains(scene)) / SIZE_STEP))
+
+    @property
+    def key(self) -> str:
+        """All but the size, as one word."""
+        return f"{self.stage}/{self.version}/{self.variant}"
+
+
+def grains(scene: Scene) -> float:
+    """Number of grains in the region; about that number where a radius is given instead."""
+    if scene.grains.count is not None:
+        return float(scene.grains.count)
+    disc = math.pi * (scene.grains.mean_radius or 1.0) ** 2
+    return max(1.0, scene.region.area / disc)
+
+
 class StageRun(NamedTuple):
     """One run of one stage, wanted by one case or by many."""
 
@@ -28,6 +61,7 @@ class StageRun(NamedTuple):
     stage: int  # row of the table of stages
     parents: tuple[int, ...]  # runs whose products it takes, −1 for a stage that is not run
     case: int  # the first case that wants it
+    kind: Kind
 
 
 @dataclass(frozen=True)
@@ -76,6 +110,7 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
     readers = [_Reader(stage.reads) for stage in stages]
     runs: list[StageRun] = []
     index: dict[str, int] = {}
+    kinds: dict[Kind, Kind] = {}  # one object each
     cases: list[np.ndarray] = []
     impossible: dict[int, str] = {}
     for number, scene in enumerate(scenes):
@@ -92,7 +127,8 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
             identity = product_id(stage.name, stage.version, readers[k](scene), parent_ids)
             run = index.setdefault(identity, len(runs))
             if run == len(runs):
-                runs.append(StageRun(identity, k, parents, number))
+                kind = Kind.of(stage, scene)
+                runs.append(StageRun(identity, k, parents, number, kinds.setdefault(kind, kind)))
             own[k] = run
     table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))
     return Plan(stages, runs, table, impossible)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sweep.cost import Costs
-from sweep.plan import Plan
+from sweep.plan import Kind, Plan
 
 BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts about this long
 BUNDLE_LENGTH = 64  # and holds no more runs than this
@@ -65,7 +65,11 @@ class Schedule:
         self.suspects: set[int] = set()
         self.deaths: dict[int, int] = {}  # of workers that had nothing else on them
         self.unexplained: list[set[int]] = []  # runs under which a worker died, none convicted
-        self._stage = np.array([run.stage for run in plan.runs], dtype=np.int32)
+        number: dict[Kind, int] = {}
+        self._kind = np.array(
+            [number.setdefault(run.kind, len(number)) for run in plan.runs], dtype=np.int32
+        )
+        self._kinds = tuple(number)
         self._measured = Costs()  # in this run: what is expected of the next one
         self._ready: list[tuple[int, int]] = []  # heap of (first case, run)
         self._alone: list[int] = []  # heap of suspects that are ready
@@ -113,7 +117,7 @@ class Schedule:
             run = heapq.heappop(heap)[1]
             if self.state[run] != wanted or run in self.suspects:
                 continue
-            expected = self._measured.seconds(self.plan.stage_of(run))
+            expected = self._measured.seconds(self.plan.runs[run].kind)
             if runs and (expected is None or seconds + expected > BUNDLE_SECONDS):
                 if heap is chain:
                     continue  # it becomes ready in its own right once this one is done
@@ -131,7 +135,7 @@ class Schedule:
         """A run has stored its product; what it took in s and bytes."""
         self.state[run] = State.DONE
         for costs in (self.costs, self._measured):
-            costs.add(self.plan.stage_of(run), seconds, stored, memory)
+            costs.add(self.plan.runs[run].kind, seconds, stored, memory)
         self._settle(self._children.get(run, ()))
 
     def failed(self, run: int) -> list[int]:
@@ -191,12 +195,12 @@ class Schedule:
 
     def seconds_left(self, workers: int) -> float | None:
         """Expected seconds until all is done, None where a stage was never measured."""
-        left = np.bincount(self._stage[self.state <= State.RUNNING])
+        left = np.bincount(self._kind[self.state <= State.RUNNING])
         total = 0.0
-        for count, stage in zip(left, self.plan.stages, strict=False):
+        for count, kind in zip(left, self._kinds, strict=False):
             if count:
-                here = self._measured.seconds(stage)
-                each = self.costs.seconds(stage) if here is None else here
+                here = self._measured.seconds(kind)
+                each = self.costs.seconds(kind) if here is None else here
                 if each is None:
                     return None
                 total += each * int(count)

@@ -41,7 +41,7 @@ def run() -> Result:
     lines = [f"{name}: {', '.join(names) or 'identical'}" for name, names in found.items()]
     count = sum(len(names) for names in found.values())
     return Result(
-        f"{count} of {len(two.variables) - len(MEASURED)} variables differ",
+        f"{count} of {len(set(two.variables) - set(MEASURED))} variables differ",
         "0",
         count == 0,
         "\n".join(lines),

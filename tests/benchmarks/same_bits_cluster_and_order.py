@@ -53,7 +53,7 @@ def run() -> Result:
     good = int((one.status == 0).sum())
     lines.append(f"{good} of {one.status.size} cases good")
     return Result(
-        f"{count} of {len(one.variables) - len(MEASURED)} variables differ",
+        f"{count} of {len(set(one.variables) - set(MEASURED))} variables differ",
         "0",
         count == 0 and good == one.status.size,
         "\n".join(lines),

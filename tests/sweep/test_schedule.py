@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.cost import Costs
-from sweep.plan import Plan, StageRun
+from sweep.plan import Kind, Plan, StageRun
 from sweep.schedule import ATTEMPTS_ALONE, BUNDLE_SECONDS, Bundle, Schedule, State, Tally
 from sweep.stages import stage_table
-from sweep.store import Store
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)[:3]
+KINDS = [Kind(stage.name, stage.version, "", 0) for stage in STAGES]
 
 
 def tree(packs: int, flows: int, observers: int) -> Plan:
@@ -23,13 +22,14 @@ def tree(packs: int, flows: int, observers: int) -> Plan:
     cases = []
     for _ in range(packs):
         pack = len(runs)
-        runs.append(StageRun(f"p{pack}", 0, (), len(cases)))
+        runs.append(StageRun(f"p{pack}", 0, (), len(cases), KINDS[0]))
         for _ in range(flows):
             flow = len(runs)
-            runs.append(StageRun(f"f{flow}", 1, (pack,), len(cases)))
+            runs.append(StageRun(f"f{flow}", 1, (pack,), len(cases), KINDS[1]))
             for _ in range(observers):
                 cases.append((pack, flow, len(runs)))
-                runs.append(StageRun(f"o{len(runs)}", 2, (flow, pack, -1), len(cases) - 1))
+                observer = StageRun(f"o{len(runs)}", 2, (flow, pack, -1), len(cases) - 1, KINDS[2])
+                runs.append(observer)
     return Plan(STAGES, runs, np.array(cases, dtype=np.int32))
 
 
@@ -170,14 +170,9 @@ def test_known_failures_block_their_descendants_at_once():
     assert 1 not in {run for bundle in drain(schedule, 1.0) for run in bundle}
 
 
-def test_time_left_follows_what_was_measured(tmp_path):
+def test_time_left_follows_what_was_measured():
     schedule = fresh(tree(1, 2, 2))
     assert schedule.seconds_left(2) is None
-    for stage, seconds in zip(STAGES, (8.0, 4.0, 1.0), strict=True):
-        schedule.costs.add(stage, seconds, 100)
+    for kind, seconds in zip(KINDS, (8.0, 4.0, 1.0), strict=True):
+        schedule.costs.add(kind, seconds, 100)
     assert schedule.seconds_left(2) == pytest.approx((8 + 2 * 4 + 4 * 1) / 2)
-    store = Store.open(tmp_path / "store")
-    schedule.costs.write(store)
-    assert Costs.read(store).known == schedule.costs.known
-    (store.root / "costs.json").write_text("{]")
-    assert Costs.read(store).seconds(STAGES[0]) is None

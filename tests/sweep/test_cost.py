@@ -1,0 +1,166 @@
+"""Forecasts: exact where a size was measured, a power law elsewhere, by stage and by solver."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections import defaultdict
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
+from sweep.cost import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
+from sweep.forecast import forecast
+from sweep.plan import SIZE_STEP, Kind, grains, make_plan
+from sweep.stages import stage_table
+from sweep.store import Store
+from tests.sweep import toys
+
+
+def kind(grains: float, stage: str = "flow", variant: str = "krylov") -> Kind:
+    return Kind(stage, 1, variant, round(math.log(grains) / SIZE_STEP))
+
+
+def measured(law, sizes, runs: int = 5) -> Costs:
+    """Costs after runs that took law(n) seconds each, give or take a tenth."""
+    rng = np.random.default_rng(1)
+    costs = Costs()
+    for n in sizes:
+        for _ in range(runs):
+            seconds = law(n) * rng.uniform(0.9, 1.1)
+            costs.add(kind(n), seconds, int(1e3 * n), int(1.5e8 + 4e3 * n))
+    return costs
+
+
+@pytest.mark.parametrize("power", [0.7, 1.0, 1.5, 2.0])
+@pytest.mark.parametrize("asked", [300, 1500, 8000])
+def test_a_power_law_is_found_within_a_factor_of_two(power, asked):
+    def law(n):
+        return 1e-3 * (n / 1000) ** power
+
+    costs = measured(law, (500, 1000, 2000))
+    assert law(asked) / 2 < costs.seconds(kind(asked)) < 2 * law(asked)
+    assert 500 * asked < costs.stored(kind(asked)) < 2000 * asked
+    assert costs.memory(kind(asked)) == pytest.approx(1.5e8 + 4e3 * asked, rel=0.1)
+
+
+def test_what_was_measured_at_a_size_is_what_is_expected_there():
+    costs = Costs()
+    for seconds in (1.0, 2.0):
+        costs.add(kind(1000), seconds, 10, 1)
+    costs.add(kind(4000), 100.0, 10, 1)
+    assert costs.seconds(kind(1000)) == pytest.approx(1.5)
+    assert costs.seconds(kind(4000)) == pytest.approx(100.0)
+
+
+def test_a_first_run_that_loads_its_code_is_soon_forgotten():
+    costs = Costs()
+    costs.add(kind(1000), 0.5, 10)
+    for _ in range(OUTLIERS - 1):
+        costs.add(kind(1000), 0.01, 10)
+    assert costs.seconds(kind(1000)) == pytest.approx(0.01)
+
+
+def test_one_size_grows_in_proportion():
+    costs = Costs()
+    costs.add(kind(1000), 2.0, 10)
+    assert costs.seconds(kind(3000)) == pytest.approx(6.0, rel=0.1)
+    assert costs.stored(kind(500)) == pytest.approx(5.0, rel=0.1)
+
+
+@given(
+    st.dictionaries(st.integers(0, 150), st.floats(1e-6, 1e6), min_size=1, max_size=6),
+    st.integers(0, 150),
+)
+def test_expectations_are_positive_and_grow_no_faster_than_allowed(values, step):
+    seen = defaultdict(lambda: Spent(runs=3))
+    found = scaled(values, seen, step)
+    assert found > 0.0
+    assert 0.0 <= exponent(values, seen) <= STEEPEST
+    for other in (step - 1, step + 1):
+        if min(values, key=lambda s: (abs(s - step), s)) == min(
+            values, key=lambda s: (abs(s - other), s)
+        ):
+            ratio = scaled(values, seen, other) / found
+            assert abs(math.log(ratio)) <= STEEPEST * SIZE_STEP * (1 + 1e-9)
+
+
+def test_stages_and_solvers_are_told_apart():
+    costs = measured(lambda n: 1.0, (1000,))
+    assert costs.seconds(kind(1000, variant="explicit")) is None
+    assert costs.seconds(kind(1000, stage="pack")) is None
+    assert costs.memory(kind(1000, stage="pack")) is None
+    assert costs.seconds(kind(1000)._replace(version=2)) is None
+
+
+def test_costs_are_kept_for_machines_of_their_kind(tmp_path, monkeypatch):
+    store = Store.open(tmp_path / "store")
+    costs = measured(lambda n: n * 1e-3, (500, 1000))
+    costs.write(store)
+    assert Costs.read(store).known == costs.known
+    monkeypatch.setattr("sweep.cost.machine", lambda: "abacus")
+    assert Costs.read(store).known == {}
+    monkeypatch.undo()
+    for text in ("{]", "[]", "{}", '{"machine": 1}'):
+        (store.root / "costs.json").write_text(text)
+        assert Costs.read(store).known == {}
+
+
+SCENE = Scene(
+    region=Circle(2.0),
+    grains=Grains(count=500, porosity=0.17),
+    matrix=Matrix(permeability=1e-15),
+    fluid=Fluid(1.0, 1e9),
+    wells=(Well(name="w", at=(0.0, 0.0), radius=0.5, rate=1e-6),),
+    boundaries=(("outer", 0.0),),
+    initial_pressure=0.0,
+    times=(1.0, 10.0),
+    observe=("well_pressure",),
+)
+
+
+def test_a_run_is_of_a_kind_by_its_size_and_its_solver():
+    scenes = [
+        SCENE,
+        dataclasses.replace(SCENE, solver=Solver(method="implicit")),
+        dataclasses.replace(SCENE, grains=dataclasses.replace(SCENE.grains, count=5000)),
+    ]
+    plan = make_plan(scenes, stage_table())
+    flows = [run.kind for run in plan.runs if run.kind.stage == "flow"]
+    assert len(set(flows)) == 3
+    assert flows[0].variant != flows[1].variant == "implicit"
+    assert flows[2].step - flows[0].step == pytest.approx(math.log(10) / SIZE_STEP, abs=1)
+    # the solver decides nothing of what comes before
+    assert len({run.kind for run in plan.runs if run.kind.stage == "pack"}) == 2
+
+
+def test_a_radius_counts_as_about_the_grains_that_it_gives():
+    radius = math.sqrt(0.83 * SCENE.region.area / (500 * math.pi))
+    by_radius = dataclasses.replace(SCENE.grains, count=None, mean_radius=radius)
+    assert grains(dataclasses.replace(SCENE, grains=by_radius)) == pytest.approx(500, rel=0.3)
+
+
+def test_a_forecast_after_a_few_runs_is_right_within_a_factor_of_two(tmp_path):
+    """Ten cases measured; then forty, of which the plan tells what they will take."""
+    results, seconds = tmp_path / "results", 0.02
+    few = tuple(map(float, range(1, 11)))
+    assert forecast(toys.prepared(toys.write_study(tmp_path), results), 2)["seconds"] is None
+    toys.run(toys.write_study(tmp_path, rates=few, seconds=seconds, seeds=(1,)), results)
+    many = toys.write_study(
+        tmp_path, rates=tuple(map(float, range(1, 51))), seconds=seconds, seeds=(1,)
+    )
+    before = toys.prepared(many, results)
+    told = forecast(before, 1)
+    fresh = [run for run, there in zip(before.plan.runs, before.stored(), strict=True) if not there]
+    toys.run(many, results)
+    spent = sum(before.store.meta(run.id)["seconds"] for run in fresh)
+    size = sum(before.store.path(run.id).stat().st_size for run in fresh)
+    assert told["to_run"] == len(fresh) == 2 * 2 * 40
+    assert spent / 2 < told["seconds"] < 2 * spent
+    assert size / 2 < told["bytes"] < 2 * size
+    assert told["memory"] > 10e6
+    assert forecast(before, 2)["seconds"] == 0.0
+    assert forecast(toys.prepared(many, results), 2)["bytes"] == 0
