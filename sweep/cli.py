@@ -98,6 +98,7 @@ def run(options: argparse.Namespace) -> int:
             force=options.force,
             smoke=options.smoke,
             progress=line,
+            tell=_say,
         )
     finally:
         line.close()

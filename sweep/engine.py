@@ -18,6 +18,7 @@ from model.parameters import SceneError
 from sweep.cost import Costs
 from sweep.durable import write_durably
 from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
+from sweep.heritage import inherited, note
 from sweep.lock import FolderLock, LockedError
 from sweep.plan import Plan, make_plan
 from sweep.progress import Progress
@@ -171,6 +172,7 @@ def run_study(
     force: bool = False,
     smoke: bool = False,
     progress: Callable[[Progress], None] | None = None,
+    tell: Callable[[str], None] | None = None,
     figures: bool = True,
     table: str = MODEL,
 ) -> Finished:
@@ -187,6 +189,7 @@ def run_study(
     force : compute everything again, stored or not.
     smoke : apply the study's smoke block.
     progress : called with the state of the run, several times a second.
+    tell : called with what a user should know before anything is run.
     figures : whether to draw figures and write the report.
     table : where the table of stages lies, as `module:name`.
 
@@ -206,6 +209,9 @@ def run_study(
             _check_own(prepared)
             _remove_partial(prepared)
             _keep(prepared, UNFINISHED_FILE)
+            if tell and (message := inherited(prepared.store, prepared.plan.stages)):
+                tell(message)
+            note(prepared.store, prepared.plan.stages)
         held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
         executed, damaged = None, []
         for _ in range(ROUNDS):

@@ -104,7 +104,7 @@ def new_runs(before: Plan, after: Plan) -> dict[str, int]:
             "seed",
             "{parameter: grains.seed, values: [1, 2]}",
             "{parameter: grains.seed, values: [1, 2, 3]}",
-            {"pack": 1, "stress": 1, "network": 1, "calibrate": 1}
+            {"pack": 1, "unit_loads": 1, "stress": 1, "network": 1, "calibrate": 1}
             | {"open": 2, "measure": 2, "flow": 2, "observe": 4},
             id="seeds",
         ),
