@@ -1,19 +1,20 @@
 """Products of cases → the labelled dataset, one netCDF-4 file with CF metadata.
 
-The file is filled tile by tile, a few thousand cases at a time, so that memory does not
-grow with their number. It is written aside and renamed. A case without a product is NaN
-and has its status and its message. All of it follows from the study but `compute_time` and
-`stage_time`, which were measured: they alone differ between two runs that both start from
-nothing.
+The file is filled tile by tile, a few thousand cases at a time, in memory or, beyond a size,
+on disk, so that memory does not grow with their number. It is written aside and renamed. A case
+without a product is NaN and has its status and its message. All of it follows from the study but
+`compute_time` and `stage_time`, which were measured: they alone differ between two runs that
+both start from nothing.
 """
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,7 +26,7 @@ import numpy as np
 from model.quantities import CASE, COORDINATES, MAPS, SWEEP, Quantity
 from model.scene import Scene
 from sweep.cases import Coordinate, coordinates
-from sweep.durable import rename_durably, write_durably
+from sweep.durable import naming, rename_durably, write_durably
 from sweep.plan import Plan
 from sweep.stages import Status
 from sweep.store import DamagedError, MissingError, Store
@@ -45,6 +46,7 @@ __all__ = [
 ]
 
 CONVENTIONS = "CF-1.11"
+BUFFER_BYTES = 256_000_000  # a dataset of up to this size is made in memory
 TILE_CASES = 2048  # cases that are held in memory at once
 TILE_BYTES = 16_000_000  # or fewer, if their numbers are many
 FIXED = {"row": ("x", "y"), "column": ("x", "y"), "component": ("xx", "yy", "xy")}
@@ -101,43 +103,99 @@ def collect(
     Messages about products that are damaged. They were set aside, nothing was written
     then: run again.
     """
+    source = _Source(plan, store)
+    each = _bytes_of_a_case(plan, store, verdicts)
+
+    def fill(file: netCDF4.Dataset) -> None:
+        writer = _Writer(file, study, _labels(plan, scene_of), source.stages)
+        for tile in _tiles(study.shape, max(1, min(TILE_CASES, TILE_BYTES // each))):
+            writer.begin(tile)
+            for case in tile.cases:
+                if verdicts[case].status is Status.DONE:
+                    writer.add(case, source.result(case))
+                writer.end_case(case, verdicts[case], source.spent(case))
+            writer.flush()
+        writer.describe(plan, digest, source.origins)
+
+    if each * len(plan.cases) <= BUFFER_BYTES:
+        _make_in_memory(path, fill, source.damaged)
+    else:
+        _make_on_disk(path, fill, source.damaged)
+    return source.damaged
+
+
+def _make_in_memory(
+    path: Path, fill: Callable[[netCDF4.Dataset], None], damaged: list[str]
+) -> None:
+    """Make a dataset in memory and put it in place, unless a product was found damaged.
+
+    So the netCDF library never meets a disk that fails: it crashes where its last write does.
+    """
+    file = netCDF4.Dataset(path, "w", format="NETCDF4", memory=1)
+    try:
+        fill(file)
+    finally:
+        content = file.close()
+    if not damaged:
+        with _hash_beside(path, hashlib.sha256(content).hexdigest()):
+            write_durably(path, content)
+
+
+def _make_on_disk(path: Path, fill: Callable[[netCDF4.Dataset], None], damaged: list[str]) -> None:
+    """Do the same on disk, for a dataset of any size. Raises OSError."""
     aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        labels = _labels(plan, scene_of)
-        with netCDF4.Dataset(aside, "w", format="NETCDF4") as file:
-            source = _Source(plan, store)
-            writer = _Writer(file, study, labels, source.stages)
-            for tile in _tiles(study.shape, _cases_in_memory(plan, store, verdicts)):
-                writer.begin(tile)
-                for case in tile.cases:
-                    if verdicts[case].status is Status.DONE:
-                        writer.add(case, source.result(case))
-                    writer.end_case(case, verdicts[case], source.spent(case))
-                writer.flush()
-            writer.describe(plan, digest, source.origins)
-        if source.damaged:
-            return source.damaged
-        with open(aside, "rb+") as written:
+        try:
+            with netCDF4.Dataset(aside, "w", format="NETCDF4") as file:
+                fill(file)
+                file.sync()  # what cannot be written is told here, and not on closing
+        except (RuntimeError, PermissionError) as error:  # its words for whatever happened
+            if type(error) not in (RuntimeError, PermissionError):
+                raise
+            why = f"netCDF cannot write it ({error}); most often the disk is full"
+            raise OSError(errno.EIO, why, str(path)) from error
+        if damaged:
+            return
+        with open(aside, "rb+") as written, naming(path):
             os.fsync(written.fileno())
             sha256 = hashlib.file_digest(written, "sha256").hexdigest()
-        # between the two there is a dataset without a hash, which counts as none
-        _hash_file(path).unlink(missing_ok=True)
-        rename_durably(aside, path)
-        write_durably(_hash_file(path), f"{sha256}  {path.name}\n".encode())
-        return []
+        with _hash_beside(path, sha256):
+            rename_durably(aside, path)
     finally:
-        aside.unlink(missing_ok=True)
+        with suppress(OSError):
+            aside.unlink()
+
+
+@contextmanager
+def _hash_beside(path: Path, sha256: str) -> Iterator[None]:
+    """Record the hash of a dataset that takes its place while a `with` block runs.
+
+    Until it has, the hash of the earlier one stands there too, so that whenever this ends
+    a whole dataset is known as one.
+    """
+    line = f"{sha256}  {path.name}\n"
+    earlier = "".join(f"{known}  {path.name}\n" for known in _known_hashes(path)[:2])
+    write_durably(_hash_file(path), (line + earlier).encode())
+    yield
+    write_durably(_hash_file(path), line.encode())
+
+
+def _known_hashes(path: Path) -> list[str]:
+    try:
+        lines = _hash_file(path).read_text(errors="replace").splitlines()
+    except FileNotFoundError:
+        return []
+    return [line.partition(" ")[0] for line in lines]
 
 
 def dataset_problem(path: Path) -> str | None:
     """What is wrong with the dataset at `path` by the hash beside it, None if nothing is."""
-    try:
-        recorded = _hash_file(path).read_text(errors="replace").partition(" ")[0]
-    except FileNotFoundError:
-        return f"there is no {_hash_file(path).name} beside it"
+    recorded = _known_hashes(path)
+    if not recorded:
+        return f"there is no hash in {_hash_file(path).name} beside it"
     with open(path, "rb") as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()
-    return None if found == recorded else "the data differ from what was written"
+    return None if found in recorded else "the data differ from what was written"
 
 
 def _hash_file(path: Path) -> Path:
@@ -239,13 +297,13 @@ def _tiles(shape: tuple[int, ...], most: int) -> Iterator[_Tile]:
             )
 
 
-def _cases_in_memory(plan: Plan, store: Store, verdicts: Sequence[Verdict]) -> int:
-    """How many cases a tile may hold, from the size of the first product."""
+def _bytes_of_a_case(plan: Plan, store: Store, verdicts: Sequence[Verdict]) -> int:
+    """About the bytes of one case in the dataset: the size of the first product, or little."""
     for case, ended in enumerate(verdicts):
         if ended.status is Status.DONE:
-            size = store.path(plan.runs[int(plan.cases[case, -1])].id).stat().st_size
-            return max(1, min(TILE_CASES, TILE_BYTES // max(size, 1)))
-    return TILE_CASES
+            with suppress(FileNotFoundError):  # it is missed when it is read
+                return store.path(plan.runs[int(plan.cases[case, -1])].id).stat().st_size
+    return 1000
 
 
 @dataclass

@@ -21,12 +21,12 @@ REPORTS_ERRORS = (5, 8)  # Linux whose syncfs tells of failed writes
 FOREIGN_BYTES = 256_000_000  # not yet written by others: a flush of everything would wait for it
 
 
-def write_durably(path: Path, content: bytes) -> None:
+def write_durably(path: Path, content: bytes | memoryview) -> None:
     """Write one file durably. Raises OSError; what was there before stays then."""
     write_all_durably({path: content})
 
 
-def write_all_durably(files: Mapping[Path, bytes]) -> None:
+def write_all_durably(files: Mapping[Path, bytes | memoryview]) -> None:
     """Write files durably, all of them in two flushes.
 
     Raises OSError that names a file; no half file is left then, and files may be old or new.
@@ -59,8 +59,8 @@ def write_all_durably(files: Mapping[Path, bytes]) -> None:
 
 def rename_durably(aside: Path, path: Path) -> None:
     """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
-    os.replace(aside, path)
     with naming(path):
+        os.replace(aside, path)
         _flush_folder(path.parent)
 
 
@@ -83,7 +83,7 @@ def _made(folder: Path) -> Iterator[Path]:
         folder.mkdir(exist_ok=True)
 
 
-def _write(file: Any, content: bytes) -> None:
+def _write(file: Any, content: bytes | memoryview) -> None:
     left = memoryview(content)
     while left:
         left = left[file.write(left) :]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import functools
 import hashlib
 import itertools
@@ -427,11 +426,5 @@ def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
         return verdicts, False, []
     # figures and report belong to one dataset: without a report they are drawn again
     (prepared.folder / REPORT_FILE).unlink(missing_ok=True)
-    try:
-        damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
-    except RuntimeError as error:  # the netCDF library's way to say that it cannot write
-        if type(error) is not RuntimeError:
-            raise
-        why = f"netCDF cannot write it ({error}); most often the disk is full"
-        raise OSError(errno.EIO, why, str(path)) from error
+    damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
     return verdicts, True, damaged

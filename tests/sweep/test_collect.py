@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
+import os
 import platform
 import subprocess
 import sys
@@ -171,10 +173,14 @@ def test_cf_checker_finds_no_error(finished, tmp_path):
     assert messages == []
 
 
-def test_small_tiles_give_the_same_file(finished, tmp_path, monkeypatch):
+@pytest.mark.parametrize("buffer", [0, 10**9])
+def test_small_tiles_in_memory_or_on_disk_give_the_same_file(
+    finished, tmp_path, monkeypatch, buffer
+):
     path, ran = finished
     made = prepare(path, ran.folder.parent, table=toys.TABLE)
     monkeypatch.setattr(collect_module, "TILE_CASES", 2)
+    monkeypatch.setattr(collect_module, "BUFFER_BYTES", buffer)
     other = tmp_path / "dataset.nc"
     verdicts = made.verdicts()
     arguments = (made.study, made.plan, made.store, made.scene_of, verdicts, other)
@@ -187,6 +193,39 @@ def test_small_tiles_give_the_same_file(finished, tmp_path, monkeypatch):
     assert collected_digest(tmp_path / "absent.nc") is None
     other.write_bytes(other.read_bytes()[:1000])
     assert collected_digest(other) is None
+
+
+@pytest.mark.parametrize("buffer", [0, 10**9])
+@pytest.mark.parametrize("place", range(8))
+def test_a_dataset_that_cannot_take_its_place_leaves_the_earlier_one(
+    finished, tmp_path, monkeypatch, buffer, place
+):
+    path, ran = finished
+    made = prepare(path, ran.folder.parent, table=toys.TABLE)
+    monkeypatch.setattr(collect_module, "BUFFER_BYTES", buffer)
+    dataset = tmp_path / "dataset.nc"
+    arguments = (made.study, made.plan, made.store, made.scene_of, made.verdicts(), dataset)
+    collect_module.collect(*arguments, "earlier")
+    calls = itertools.count()
+
+    def failing(real):
+        def call(*given: object) -> object:
+            if next(calls) == place:
+                raise OSError(28, "No space left on device")
+            return real(*given)
+
+        return call
+
+    monkeypatch.setattr(os, "fsync", failing(os.fsync))
+    monkeypatch.setattr(os, "replace", failing(os.replace))
+    with pytest.raises(OSError, match="No space") as refused:
+        collect_module.collect(*arguments, "later")
+    monkeypatch.undo()
+    assert str(tmp_path) in str(refused.value.filename)
+    assert collected_digest(dataset) in ("earlier", "later")
+    assert {p.name for p in tmp_path.iterdir()} == {"dataset.nc", "dataset.nc.sha256"}
+    collect_module.collect(*arguments, "later")
+    assert collected_digest(dataset) == "later"
 
 
 def test_a_study_without_axes_is_one_case(tmp_path):
