@@ -15,7 +15,7 @@ import numpy as np
 
 from model.parameters import SceneError
 from sweep.cost import Costs
-from sweep.durable import write_durably
+from sweep.durable import naming, write_durably
 from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
 from sweep.heritage import inherited, note
 from sweep.lock import FolderLock, LockedError
@@ -301,9 +301,10 @@ def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finis
     from sweep.report import write_report
     from sweep.results import open_results
 
-    dataset = open_results(folder)
-    figures = write_figures(dataset, folder, prepared.study)
-    report = write_report(dataset, folder, prepared.study, figures)
+    with naming(folder):
+        dataset = open_results(folder)
+        figures = write_figures(dataset, folder, prepared.study)
+        report = write_report(dataset, folder, prepared.study, figures)
     return replace(finished, figures=tuple(figures), report=report)
 
 

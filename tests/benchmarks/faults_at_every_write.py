@@ -3,10 +3,10 @@
 A layer between the run and the disk (`fail_at.c`, loaded with LD_PRELOAD into the run and its
 workers, so that it sees what netCDF and HDF5 write as well) counts all calls that create, write,
 flush, rename or remove something in the results folder. Each of them fails in a run of its own:
-in a new folder; in one that holds the results of an earlier, smaller study of the same name; and,
-with every product stored, while the dataset is made anew. Each run must end with the status that
-its outcome has and one line that names the place; all that was there must be whole; the next run
-must complete with the same bits.
+in a new folder; in one that holds the results of an earlier, smaller study of the same name;
+with every product stored, while the dataset is made anew; and while figures are drawn. Each run
+must end with the status that its outcome has and one line that names the place; all that was
+there must be whole; the next run must complete with the same bits.
 
 It needs Linux and a C compiler (`cc`), which nothing else of demflow does.
 """
@@ -26,9 +26,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import sweep
 from sweep.results import open_results
 from sweep.upkeep import verify
-from tests.benchmarks.ran import results_folder
+from tests.benchmarks.ran import STUDIES, results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import differing
 from tests.sweep import toys
@@ -45,10 +46,11 @@ KINDS = {
 # one process that has imported everything, from which each run is forked
 _RUNS = """
 import os, sys
+from sweep import cli
 from tests.sweep import toys
-import netCDF4, psutil, sweep.collect, sweep.execute
+import netCDF4, psutil, sweep.collect, sweep.execute, sweep.figures, sweep.report
 for line in sys.stdin:
-    study, results, log = line.split()
+    command, study, results, log = line.split()
     pid = os.fork()
     if pid == 0:
         sys.stdin.close()
@@ -57,7 +59,10 @@ for line in sys.stdin:
             os.dup2(out.fileno(), 2)
         status = 99
         try:
-            status = toys.demflow("run", study, "--results", results, "--workers", "1")
+            if command == "run":
+                status = toys.demflow("run", study, "--results", results, "--workers", "1")
+            else:
+                status = cli.main(["report", study, "--results", results, "--smoke"])
         except BaseException:
             import traceback
             traceback.print_exc()
@@ -75,13 +80,15 @@ class Disk:
     state: mmap.mmap
     process: subprocess.Popen[str]
 
-    def run(self, study: Path, turn: int = 0, error: int = 0, lasting: bool = False) -> int:
-        """Run a study while the call number `turn` fails; return the exit status."""
+    def run(
+        self, study: Path, turn: int = 0, error: int = 0, lasting: bool = False, do: str = "run"
+    ) -> int:
+        """`demflow run` or `report`, while the call number `turn` fails; return its exit status."""
         self.state[:] = bytes(len(self.state))
         self.state[: STATE.size] = STATE.pack(0, turn, error, lasting)
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        print(study, self.results, self.log, file=self.process.stdin, flush=True)
+        print(do, study, self.results, self.log, file=self.process.stdin, flush=True)
         return int(self.process.stdout.readline())
 
     @property
@@ -183,11 +190,39 @@ def run() -> Result:
                     problems += outcome(disk.results, calm)
                 problems += [f"left: {path}" for path in leftovers(disk.results)]
                 lines += [f"{kind}, {what}: {problem}" for problem in problems]
+    trials += draw(disk, lines, kinds)
+    described += 1
     disk.process.communicate()
     faults = len(lines) - described
     lines.append(f"{trials} faults: {json.dumps(dict(kinds))}")
     shutil.rmtree(folder)
     return Result(f"{faults} problems after {trials} faults", "0", faults == 0, "\n".join(lines))
+
+
+def draw(disk: Disk, lines: list[str], kinds: Counter[str]) -> int:
+    """Let each call fail by which figures and report of the quickstart are written."""
+    _reset(disk, None)
+    study = STUDIES / "quickstart.yaml"
+    sweep.run(study, results=disk.results, smoke=True)
+    folder = disk.results / sweep.load_study(study).name
+    drawn = {path.name for path in (folder / "figures").iterdir()}
+    assert disk.run(study, do="report") == 0
+    calls, trials = disk.calls, 0
+    lines.append(f"figures and report: {calls} calls")
+    for turn in range(1, calls + 1):
+        for kind, (error, lasting) in KINDS.items():
+            (folder / "report.html").unlink(missing_ok=True)
+            shutil.rmtree(folder / "figures", ignore_errors=True)
+            status = disk.run(study, turn, error, lasting, do="report")
+            what, trials = disk.what, trials + 1
+            kinds[what.partition(" ")[0]] += 1
+            problems = [*said(disk, status, os.strerror(error)), *harm(disk.results, {})]
+            if (again := disk.run(study, do="report")) != 0:
+                problems.append(f"the next report ends with {again}: {disk.log.read_text()}")
+            elif {path.name for path in (folder / "figures").iterdir()} != drawn:
+                problems.append("figures are missing")
+            lines += [f"{kind}, {what}: {problem}" for problem in problems]
+    return trials
 
 
 def _reset(disk: Disk, before: Path | None) -> None:

@@ -18,13 +18,13 @@ from tests.benchmarks.result import Result
 from tests.sweep import toy_stages, toys
 
 CASES, POISONED = 100, 37
-MEMORY, TIME = "{memory: 400 MB}", "{time: 3 s}"
+MEMORY, TIME = "{memory: 250 MB}", "{time: 3 s}"
 
 TOYS = {
     "kills its worker": (toy_stages.DIES, "", Status.WORKER_DIED, "its worker process died"),
     "hangs": (toy_stages.HANGS, TIME, Status.TIMED_OUT, "not done after 3 s"),
     "hangs in compiled code": (toy_stages.HOLDS_ON, TIME, Status.TIMED_OUT, "not done after 3 s"),
-    "eats memory": (toy_stages.GROWS, MEMORY, Status.OUT_OF_MEMORY, "more than 0.4 GB"),
+    "eats memory": (toy_stages.GROWS, MEMORY, Status.OUT_OF_MEMORY, "more than 0.25 GB"),
     "is refused memory": (toy_stages.NO_MEMORY, "", Status.OUT_OF_MEMORY, "no memory left"),
     "raises": (toy_stages.RAISES, "", Status.FAILED, "the well is dry; try a smaller rate"),
     "breaks": (toy_stages.BREAKS, "", Status.FAILED, "ZeroDivisionError: one over nothing"),
