@@ -16,6 +16,7 @@ from sweep.stages import Status
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.sweep import toy_stages, toys
+from tests.sweep.processes import products
 
 CASES, POISONED = 100, 37
 MEMORY, TIME = "{memory: 250 MB}", "{time: 3 s}"
@@ -65,11 +66,11 @@ def run() -> Result:
         path = toys.write_study(
             folder, name=f"toy{number}", seeds=(), stresses=(), rates=tuple(rates), limits=limits
         )
-        finished = toys.run(path, folder / "results")
+        finished = toys.run(path, folder / f"toy{number}")
         wrong += judged(kind, finished, status, words, lines)
     for number, (kind, (count, limits, status, words)) in enumerate(MODEL_CASES.items()):
         path = model_study(folder, f"model{number}", count, limits)
-        finished = run_study(path, results=folder / "results", figures=False)
+        finished = run_study(path, results=folder / f"model{number}", figures=False)
         wrong += judged(kind, finished, status, words, lines)
     shutil.rmtree(folder)
     kinds = len(TOYS) + len(MODEL_CASES)
@@ -90,14 +91,13 @@ def model_study(folder: Path, name: str, count: int, limits: str) -> Path:
 
 
 def judged(kind: str, finished: Finished, status: Status, words: str, lines: list[str]) -> bool:
-    """Whether all but the poisoned case are good, and it has the right status and message."""
+    """Whether another case is not good or was run twice, or the poisoned one is not told right."""
     dataset = open_results(finished.folder)
     ended = dataset.status.values
     good = int((ended == Status.DONE).sum())
     found, message = Status(int(ended[POISONED])), str(dataset.message.values[POISONED])
     assert finished.executed is not None
     lines.append(f"{kind}: {good} good; {found.name.lower()}: {message}")
-    # every product was made once: what was computed is what is there
-    stored = len(list((finished.folder.parent / "store").glob("*/*.product")))
-    lines[-1] += f" ({finished.executed.computed} stage runs, {finished.executed.deaths} deaths)"
-    return good != CASES - 1 or found is not status or words not in message or stored == 0
+    computed, stored = finished.executed.computed, len(products(finished.folder.parent))
+    lines[-1] += f" ({computed} stage runs, {stored} stored; {finished.executed.deaths} deaths)"
+    return good != CASES - 1 or found is not status or words not in message or computed != stored
