@@ -40,7 +40,7 @@ GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its g
 HEARD_SECONDS = 20.0  # s that the first stage run waits for all workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
 GREETINGS = 3  # workers that may fail to answer in one run
-ANSWER_SECONDS = 2.0  # s to fetch an answer before looking whether its worker still lives
+ANSWER_SECONDS = 0.5  # s to fetch an answer before looking after other things
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,7 @@ class _Execution:
         self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
         self.dead: dict[str, float] = {}  # when a worker died, while its address is listed still
         self.events: SimpleQueue[tuple[str, _Flight]] = SimpleQueue()
+        self.unanswered: list[tuple[str, _Flight]] = []  # answers that wait on their worker
         self.losses: dict[int, int] = {}
         self.seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
         self.jobs = 0
@@ -178,6 +179,9 @@ class _Execution:
                     self._take_in(*self.events.get_nowait())
             now = time.monotonic()
             if now - looked > TICK:
+                again, self.unanswered = self.unanswered, []
+                for waiting in again:
+                    self._take_in(*waiting)
                 self._look()
                 looked = now
             if self.progress and now - shown > TICK:
@@ -308,7 +312,13 @@ class _Execution:
         line = self._line(address)
         if flight not in line:
             return  # it was settled when its worker died
-        answer = self._answer(address, flight) if flight.future.status == "finished" else None
+        if flight.future.status == "finished":
+            answer = self._answer(flight)
+            if answer is None and address in self.pool.addresses():
+                self.unanswered.append((address, flight))  # asked for again, after other things
+                return
+        else:
+            answer = None
         if answer is not None:
             line.remove(flight)
             if line:
@@ -335,17 +345,14 @@ class _Execution:
         else:
             raise RunError(f"a worker broke: {type(error).__name__}: {error}") from error
 
-    def _answer(self, address: str, flight: _Flight) -> Any:
-        """What a worker answered, None where it died before the answer was fetched."""
-        while True:
-            try:
-                return flight.future.result(timeout=ANSWER_SECONDS)
-            except (KilledWorker, CancelledError):
-                return None
-            except OSError:  # on its way still (a TimeoutError), or lost with worker or scheduler
-                if address not in self.pool.addresses():
-                    return None
-                time.sleep(TICK)
+    def _answer(self, flight: _Flight) -> Any:
+        """What a worker answered; None while it is on its way, or lost.
+
+        A worker gives it away itself, which it cannot while a stage keeps it from all else.
+        """
+        with suppress(KilledWorker, CancelledError, OSError):  # a TimeoutError is an OSError
+            return flight.future.result(timeout=ANSWER_SECONDS)
+        return None
 
     def _settle(self, address: str, flight: _Flight, outcomes: list[Outcome]) -> None:
         if not (self.pool.shares_store or self._accept(outcomes)):
@@ -425,9 +432,12 @@ class _Execution:
                     self.report.computed += 1
                     self.schedule.done(run)
                     self.tally.finish(run, good=True)
-        bundle = line[0].bundle if line else Bundle((), False, None)
-        if verdict and len(bundle.runs) == 1:
-            self._convict(bundle.runs[0], *verdict)
+        # a worker that hangs may not have said that it is at the second of its bundles already
+        handed = [run for flight in line for run in flight.bundle.runs]
+        runs = tuple(run for run in handed if not self.schedule.is_done(run))
+        bundle = Bundle(runs, any(flight.bundle.alone for flight in line), None)
+        if verdict and len(runs) == 1:
+            self._convict(runs[0], *verdict)
         elif (guilty := self.schedule.died(bundle)) is not None:
             self._convict(
                 guilty,
@@ -435,8 +445,6 @@ class _Execution:
                 "its worker process died, also with nothing else on it; "
                 "most often memory ran out: try fewer grains or fewer workers",
             )
-        for flight in list(line)[1:]:
-            self.schedule.again(flight.bundle.runs)
         for flight in line:
             flight.future.cancel()
 

@@ -117,6 +117,18 @@ def test_a_case_that_grows_is_stopped_at_its_memory_limit(tmp_path):
     assert message.startswith("flow: more than 0.3 GB, the study's limits.memory")
 
 
+def test_a_case_that_hangs_in_compiled_code_behind_short_ones_is_the_one_to_blame(tmp_path):
+    rates = (*map(float, range(1, 41)), toy_stages.HOLDS_ON, *map(float, range(41, 61)))
+    path = toys.write_study(
+        tmp_path, seeds=(1,), stresses=(), rates=rates, seconds=0.01, limits="{time: 1 s}"
+    )
+    finished = toys.run(path, tmp_path / "results")
+    dataset = open_results(finished.folder)
+    assert (finished.cases, finished.failed) == (61, 1)
+    assert dataset.status.sel(rate=toy_stages.HOLDS_ON) == Status.TIMED_OUT
+    assert finished.executed.computed == 2 + 2 * 60
+
+
 def processes() -> list[psutil.Process]:
     return [psutil.Process(), *psutil.Process().children(recursive=True)]
 
