@@ -179,10 +179,12 @@ def wait_until(condition) -> None:
 def test_workers_end_with_a_killed_run_whatever_they_are_at(tmp_path):
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(toy_stages.HOLDS_ON,))
     running = start(path, tmp_path / "results")
-    wait_until(lambda: len(stored(tmp_path / "results")) == 1)
-    time.sleep(0.5)
-    running.process.kill()
-    running.finish()
+    try:
+        wait_until(lambda: len(stored(tmp_path / "results")) == 2)  # packed and stressed
+        time.sleep(0.5)
+    finally:
+        running.process.kill()
+        running.finish()
     assert running.left_after(5.0) == []
 
 
