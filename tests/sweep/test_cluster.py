@@ -95,12 +95,10 @@ def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
         status, _, told = start(path, tmp_path / "none", "--scheduler", address, **lost).finish(60)
         assert (status, len(told.splitlines())) == (2, 1)
         assert str(tmp_path / "lost.pem") in told
-        plain = start(path, tmp_path / "none", "--scheduler", address.replace("tls", "tcp"))
-        assert plain.finish(60)[0] == 2
 
 
 def test_a_scheduler_that_dies_ends_the_run_and_what_was_finished_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.pools.CONNECT_SECONDS", 2)
+    monkeypatch.setattr("sweep.pools.CONNECT_SECONDS", 1)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES, seconds=0.5)
     with dask_cluster(tmp_path / "processes", workers=1) as cluster:
 

@@ -11,7 +11,6 @@ import pytest
 from distributed import LocalCluster
 
 from model.quantities import SWEEP
-from sweep.pools import RunError
 from sweep.results import open_results
 from sweep.stages import Status
 from tests.sweep import toy_stages, toys
@@ -223,19 +222,11 @@ if multiprocessing.parent_process() and not flag.exists():
 """
 
 
-@pytest.mark.parametrize("patience", [1, 3])
-def test_a_worker_that_never_answers_is_ended_and_another_takes_its_place(
-    tmp_path, monkeypatch, patience
-):
-    (tmp_path / f"silent_{patience}.py").write_text(SILENT)
+def test_a_worker_that_never_answers_is_ended_and_another_takes_its_place(tmp_path, monkeypatch):
+    (tmp_path / "silent.py").write_text(SILENT)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(toys, "TABLE", f"silent_{patience}:STAGES")
+    monkeypatch.setattr(toys, "TABLE", "silent:STAGES")
     monkeypatch.setattr("sweep.execute.GREETING_SECONDS", 1.5)
-    monkeypatch.setattr("sweep.execute.GREETINGS", patience)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
-    if patience == 1:
-        with pytest.raises(RunError, match=r"1 workers did not answer within 1.5 s"):
-            toys.run(path, tmp_path / "results", workers=1)
-    else:
-        finished = toys.run(path, tmp_path / "results", workers=1)
-        assert (finished.failed, finished.executed.deaths) == (0, 1)
+    finished = toys.run(path, tmp_path / "results", workers=1)
+    assert (finished.failed, finished.executed.deaths) == (0, 1)
