@@ -1,0 +1,134 @@
+"""Networks of lattices against solutions of the continuum that are not of this repository.
+
+Equal discs have a permeability in closed form, so that nothing is fitted: what is left is the
+size of a pore against that of the well, the fracture or the sample.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from model.analytic.fractures import bilinear_flow, infinite_conductivity_fracture
+from model.analytic.lattice import (
+    HEXAGONAL_POROSITY,
+    SQUARE_POROSITY,
+    hexagonal_permeability,
+    square_permeability,
+)
+from model.analytic.linear import linear_dimensionless_pressure
+from model.analytic.radial import line_source, radial_dimensionless_pressure
+from model.analytic.wells import closed_circle_pseudo_steady
+from model.region import Circle, Rectangle
+from model.scene import BiWing, Probe, Trace, Well
+from tests.reservoirs import reservoir
+from tests.rocks import hexagonal_lattice, square_lattice
+
+MU, K_F, W = 1e-3, 1e9, 1e-5
+RADIUS = 1 / 120  # of a disc
+SQUARE = square_lattice(1.1, RADIUS, (RADIUS, RADIUS))
+K = square_permeability(W, RADIUS)
+DIFFUSIVITY = K * K_F / (SQUARE_POROSITY * MU)
+UNIT = MU / (2 * math.pi * K)  # Pa for 1 m³/s
+
+
+def fall(seen, well=0):
+    """p_D of a well that produces 1 m³/s from a pressure of 0."""
+    return -seen["well_pressure"][well] / UNIT
+
+
+def test_linear_flow_at_any_time():
+    rock = reservoir(SQUARE, Rectangle(2.0, 0.4), W)
+    t_D = np.geomspace(3e-4, 3.0, 33)
+    places = np.linspace(-0.95, 0.95, 20)
+    probes = tuple(Probe(f"{x}", (float(x), 0.01)) for x in places)
+    seen = rock.observed(
+        (),
+        (("left", 0.0), ("right", -1.0)),
+        0.0,
+        tuple(t_D * 4 / DIFFUSIVITY),
+        probes=probes,
+        tolerance=1e-7,
+    )
+    at = np.round((places + 1) / (2 * RADIUS) - 0.5) * 2 * RADIUS + RADIUS  # of the pore
+    expected = linear_dimensionless_pressure(0.5 * at[:, None], t_D)
+    np.testing.assert_allclose(-seen["probe_pressure"], expected, atol=4e-3)
+
+
+@pytest.mark.parametrize("R_De", [6.0, 11.0])
+def test_radial_flow_at_any_time(R_De):
+    """Eq. 29 at the well and between it and the rim."""
+    radius = 0.02
+    k = hexagonal_permeability(W, radius)
+    rock = reservoir(hexagonal_lattice(1.1, radius), Circle(1.0), W)
+    well = Well(name="w", at=(0.0, 0.0), radius=1 / R_De, rate=1.0)
+    t_D = np.geomspace(0.3, 1e3, 20)
+    unit = HEXAGONAL_POROSITY * MU / (k * K_F * R_De**2)
+    seen = rock.observed((well,), (("outer", 0.0),), 0.0, tuple(t_D * unit), tolerance=1e-7)
+    steady = MU * math.log(R_De) / (2 * math.pi * k)
+    found = -seen["well_pressure"][0] / steady
+    np.testing.assert_allclose(found, radial_dimensionless_pressure(1.0, t_D, R_De), rtol=0.02)
+
+
+def test_interference_follows_theis():
+    """A narrow well seen from pores around it, until the rim is felt."""
+    rock = reservoir(SQUARE, Rectangle(2.0, 2.0), W)
+    well = Well(name="w", at=(0.0, 0.0), radius=1e-4, rate=1.0)
+    probes = (Probe("along", (0.3, 0.0)), Probe("across", (0.2, 0.2)), Probe("near", (0.1, 0.05)))
+    times = np.geomspace(0.02, 0.2, 9) / DIFFUSIVITY
+    seen = rock.observed(
+        (well,), (("left", 0.0),), 0.0, tuple(times), probes=probes, tolerance=1e-7
+    )
+    for k, probe in enumerate(probes):
+        expected = line_source(math.hypot(*probe.at), DIFFUSIVITY * times)
+        np.testing.assert_allclose(
+            -seen["probe_pressure"][k] / UNIT, expected, rtol=0.03, atol=0.003
+        )
+
+
+def test_a_closed_circle_comes_to_pseudo_steady_flow():
+    """Slope 1 of the mean, and the well's own level, van Everdingen & Hurst's."""
+    radius, R_De = 0.02, 8.0
+    k = hexagonal_permeability(W, radius)
+    rock = reservoir(hexagonal_lattice(1.1, radius), Circle(1.0), W)
+    well = (Well(name="w", at=(0.0, 0.0), radius=1 / R_De, rate=1.0),)
+    t_D = np.array([1.0, 2.0, 4.0]) * R_De**2
+    unit = HEXAGONAL_POROSITY * MU / (k * K_F * R_De**2)
+    seen = rock.observed(well, (), 0.0, tuple(t_D * unit), tolerance=1e-7)
+    found = -seen["well_pressure"][0] * 2 * math.pi * k / MU
+    np.testing.assert_allclose(found, closed_circle_pseudo_steady(1.0, t_D, R_De), rtol=0.02)
+    slope = np.diff(found) / np.diff(t_D)
+    np.testing.assert_allclose(slope, 2 / (R_De**2 - 1), rtol=0.01)
+
+
+def test_a_fracture_of_infinite_conductivity_follows_gringarten():
+    """x_f = 42 discs; from t_Dxf = 0.05, before which single pores show."""
+    half_length = 0.35
+    fracture = BiWing(name="f", at=(0.0, 0.0), angle=0.0, half_length=half_length, aperture=30 * W)
+    rock = reservoir(SQUARE, Rectangle(2.0, 2.0), W, (fracture,))
+    well = Well(name="w", at=(0.0, 0.0), radius=1e-3, rate=1.0)
+    t_Dxf = np.geomspace(0.05, 1.0, 12)
+    seen = rock.observed(
+        (well,), (("left", 0.0),), 0.0, tuple(t_Dxf * half_length**2 / DIFFUSIVITY), tolerance=1e-7
+    )
+    np.testing.assert_allclose(fall(seen), infinite_conductivity_fracture(t_Dxf), rtol=0.03)
+
+
+def test_a_fracture_of_finite_conductivity_flows_bilinearly():
+    """Level and slope 1/4 of Cinco-Ley & Samaniego, before its tips are felt."""
+    transmissivity = 0.1 * K / MU  # T μ / k = 0.1 m
+    aperture = (12 * MU * transmissivity) ** (1 / 3)
+    fracture = Trace(name="f", start=(-1.0, 0.0), end=(1.0, 0.0), aperture=aperture)
+    rock = reservoir(SQUARE, Rectangle(2.0, 2.0), W, (fracture,))
+    well = Well(name="w", at=(0.0, 0.0), radius=1e-3, rate=1.0)
+    spread = np.geomspace(0.008, 0.08, 11)  # η t, m²
+    seen = rock.observed(
+        (well,), (("left", 0.0), ("right", 0.0)), 0.0, tuple(spread / DIFFUSIVITY), tolerance=1e-7
+    )
+    found = fall(seen)
+    # lengths in metres: x_f = 1 m, F_CD = T μ / (k x_f)
+    np.testing.assert_allclose(found, bilinear_flow(spread, 0.1), rtol=0.06)
+    slope = np.polyfit(np.log(spread), np.log(found), 1)[0]
+    assert slope == pytest.approx(0.25, abs=0.02)
