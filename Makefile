@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 NAME ?=
 
-.PHONY: demo test lint format bench clean
+.PHONY: demo test lint format bench peers clean
 .DEFAULT_GOAL := demo
 
 .venv/ready: requirements.txt pyproject.toml
@@ -32,5 +32,15 @@ format: .venv/ready
 bench: .venv/ready  ## measured claims; one with NAME=…
 	$(BIN)/python -m tests.benchmarks $(NAME)
 
+.peers/ready: tests/peers/requirements.txt
+	$(PYTHON) -m venv .peers
+	.peers/bin/python -m pip install --quiet --disable-pip-version-check -r $<
+	@touch $@
+
+peers: .venv/ready .peers/ready  ## compare with other codes anew, and keep what they answer
+	$(BIN)/python -m tests.peers.pressures .peers/bin/python
+	command -v yade >/dev/null && $(BIN)/python -m tests.peers.grain_forces \
+	  || echo "yade is not installed; its part is left as it was"
+
 clean:
-	rm -rf .venv build *.egg-info
+	rm -rf .venv .peers build *.egg-info

@@ -38,10 +38,14 @@ class Problem(NamedTuple):
         return well if 0 <= well < self.records.well_rows else None
 
     def own_size(self, source: int) -> tuple[float, float]:
-        """Pressure (Pa) and flow (m³/s) that a unit of the source is by itself."""
+        """Pressure (Pa) and flow (m³/s) that a unit of the source is by itself.
+
+        The flow of a fixed pressure is what would fill all pores in the time asked for; one that
+        has decayed far below it is not worth a relative error.
+        """
         system = self.system
         if source < system.fixed_count:
-            return 1.0, 0.0
+            return 1.0, float(system.storage.sum() / self.lag[-1]) if self.lag[-1] > 0.0 else 0.0
         if self.own_well(source) is not None:
             return 0.0, 1.0
         field = np.abs(system.initial[source - system.fixed_count - len(system.rate_wells)])

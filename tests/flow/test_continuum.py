@@ -28,7 +28,8 @@ from tests.rocks import hexagonal_lattice, square_lattice
 
 MU, K_F, W = 1e-3, 1e9, 1e-5
 RADIUS = 1 / 120  # of a disc
-SQUARE = square_lattice(1.1, RADIUS, (RADIUS, RADIUS))
+SQUARE = square_lattice(1.1, RADIUS, (RADIUS, RADIUS))  # with a pore at the origin
+BOX = Rectangle(2.0 - RADIUS, 2.0 - RADIUS)
 K = square_permeability(W, RADIUS)
 DIFFUSIVITY = K * K_F / (SQUARE_POROSITY * MU)
 UNIT = MU / (2 * math.pi * K)  # Pa for 1 m³/s
@@ -40,7 +41,7 @@ def fall(seen, well=0):
 
 
 def test_linear_flow_at_any_time():
-    rock = reservoir(SQUARE, Rectangle(2.0, 0.4), W)
+    rock = reservoir(square_lattice(1.1, RADIUS), Rectangle(2.0, 0.4), W)
     t_D = np.geomspace(3e-4, 3.0, 33)
     places = np.linspace(-0.95, 0.95, 20)
     probes = tuple(Probe(f"{x}", (float(x), 0.01)) for x in places)
@@ -52,29 +53,29 @@ def test_linear_flow_at_any_time():
         probes=probes,
         tolerance=1e-7,
     )
-    at = np.round((places + 1) / (2 * RADIUS) - 0.5) * 2 * RADIUS + RADIUS  # of the pore
-    expected = linear_dimensionless_pressure(0.5 * at[:, None], t_D)
+    at = (np.floor(places / (2 * RADIUS)) + 0.5) * 2 * RADIUS  # of the pore
+    expected = linear_dimensionless_pressure(0.5 * (at[:, None] + 1.0), t_D)
     np.testing.assert_allclose(-seen["probe_pressure"], expected, atol=4e-3)
 
 
 @pytest.mark.parametrize("R_De", [6.0, 11.0])
 def test_radial_flow_at_any_time(R_De):
-    """Eq. 29 at the well and between it and the rim."""
-    radius = 0.02
+    """Eq. 29 at the well, from the paper's first times to the steady state."""
+    radius = 1 / 70
     k = hexagonal_permeability(W, radius)
     rock = reservoir(hexagonal_lattice(1.1, radius), Circle(1.0), W)
     well = Well(name="w", at=(0.0, 0.0), radius=1 / R_De, rate=1.0)
-    t_D = np.geomspace(0.3, 1e3, 20)
+    t_D = np.geomspace(1.0, 1e3, 20)
     unit = HEXAGONAL_POROSITY * MU / (k * K_F * R_De**2)
     seen = rock.observed((well,), (("outer", 0.0),), 0.0, tuple(t_D * unit), tolerance=1e-7)
     steady = MU * math.log(R_De) / (2 * math.pi * k)
     found = -seen["well_pressure"][0] / steady
-    np.testing.assert_allclose(found, radial_dimensionless_pressure(1.0, t_D, R_De), rtol=0.02)
+    np.testing.assert_allclose(found, radial_dimensionless_pressure(1.0, t_D, R_De), rtol=0.03)
 
 
 def test_interference_follows_theis():
     """A narrow well seen from pores around it, until the rim is felt."""
-    rock = reservoir(SQUARE, Rectangle(2.0, 2.0), W)
+    rock = reservoir(SQUARE, BOX, W)
     well = Well(name="w", at=(0.0, 0.0), radius=1e-4, rate=1.0)
     probes = (Probe("along", (0.3, 0.0)), Probe("across", (0.2, 0.2)), Probe("near", (0.1, 0.05)))
     times = np.geomspace(0.02, 0.2, 9) / DIFFUSIVITY
@@ -107,7 +108,7 @@ def test_a_fracture_of_infinite_conductivity_follows_gringarten():
     """x_f = 42 discs; from t_Dxf = 0.05, before which single pores show."""
     half_length = 0.35
     fracture = BiWing(name="f", at=(0.0, 0.0), angle=0.0, half_length=half_length, aperture=30 * W)
-    rock = reservoir(SQUARE, Rectangle(2.0, 2.0), W, (fracture,))
+    rock = reservoir(SQUARE, BOX, W, (fracture,))
     well = Well(name="w", at=(0.0, 0.0), radius=1e-3, rate=1.0)
     t_Dxf = np.geomspace(0.05, 1.0, 12)
     seen = rock.observed(
@@ -118,17 +119,17 @@ def test_a_fracture_of_infinite_conductivity_follows_gringarten():
 
 def test_a_fracture_of_finite_conductivity_flows_bilinearly():
     """Level and slope 1/4 of Cinco-Ley & Samaniego, before its tips are felt."""
-    transmissivity = 0.1 * K / MU  # T μ / k = 0.1 m
+    transmissivity = 2.0 * K / MU  # T μ / k = 2 m
     aperture = (12 * MU * transmissivity) ** (1 / 3)
     fracture = Trace(name="f", start=(-1.0, 0.0), end=(1.0, 0.0), aperture=aperture)
-    rock = reservoir(SQUARE, Rectangle(2.0, 2.0), W, (fracture,))
+    rock = reservoir(SQUARE, BOX, W, (fracture,))
     well = Well(name="w", at=(0.0, 0.0), radius=1e-3, rate=1.0)
-    spread = np.geomspace(0.008, 0.08, 11)  # η t, m²
+    spread = np.geomspace(0.002, 0.012, 9)  # η t, m²
     seen = rock.observed(
         (well,), (("left", 0.0), ("right", 0.0)), 0.0, tuple(spread / DIFFUSIVITY), tolerance=1e-7
     )
     found = fall(seen)
     # lengths in metres: x_f = 1 m, F_CD = T μ / (k x_f)
-    np.testing.assert_allclose(found, bilinear_flow(spread, 0.1), rtol=0.06)
+    np.testing.assert_allclose(found, bilinear_flow(spread, 2.0), rtol=0.03)
     slope = np.polyfit(np.log(spread), np.log(found), 1)[0]
-    assert slope == pytest.approx(0.25, abs=0.02)
+    assert slope == pytest.approx(0.25, abs=0.025)

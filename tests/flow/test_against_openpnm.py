@@ -1,0 +1,21 @@
+"""The flow equation against OpenPNM, on the same network and conductances."""
+
+import numpy as np
+import pytest
+
+from model.flow.solvers import SOLVERS
+from tests.peers.pressures import OPENPNM, ours, system
+
+
+@pytest.mark.parametrize("method", SOLVERS)
+def test_pressures_are_those_of_openpnm(method):
+    """Kept by `tests/peers/pressures.py`: steady to 1e-8, transient to its accuracy."""
+    made = system()
+    assert made.pores > 150
+    with np.load(OPENPNM) as kept:
+        name = "transient" if SOLVERS[method].transient else "steady"
+        theirs = np.atleast_2d(kept[name])[:, : made.n]
+    found = ours(made, method)
+    assert np.ptp(theirs[-1]) > 0.1
+    bound = {"explicit": 1e-3, "steady": 1e-8}.get(method, 2e-7)
+    assert np.abs(found - theirs).max() <= bound
