@@ -19,6 +19,7 @@ from sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tab
 from sweep.analysis.table import Table
 from sweep.cases import case_at
 from sweep.figures.comparisons import draw_linear, draw_radial
+from sweep.figures.horner import draw_horner
 from sweep.figures.maps import draw_maps
 from sweep.figures.permeability import draw_permeability
 from sweep.figures.speed import draw_speed
@@ -76,10 +77,11 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
         if study.figures.compare:
             drawn.append(_compare(dataset, study.figures.compare, scene_of, maps_of, folder))
         if "pressure_change" in dataset:
-            drawn += [
-                draw_well(dataset, name, well_of, folder / f"well_pressure_{_plain(name)}.png")
-                for name in map(str, dataset["well"].values)
-            ]
+            for name in map(str, dataset["well"].values):
+                path = folder / f"well_pressure_{_plain(name)}.png"
+                drawn.append(draw_well(dataset, name, well_of, path))
+                path = folder / f"horner_{_plain(name)}.png"
+                drawn.append(draw_horner(dataset, name, well_of, path))
         for k, index in enumerate(representative_cases(dataset)):
             if "pressure_map" in scene_of(index).observe:
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()

@@ -1,0 +1,83 @@
+"""Horner plots: a build-up against the logarithm of (t_p + Δt) / Δt."""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from model.analytic.wellbore import horner_time
+from model.outcome import Status
+from model.scene import Well
+from sweep.analysis.cases import axes, axis_title, axis_value, display
+from sweep.figures.style import LINE_STYLES, new_figure, pick, save, shades
+from sweep.figures.wells import WellOf
+
+_MOST = (5, 3)  # values shown by colour and by line style
+
+
+def production_time(well: Well) -> float | None:
+    """How long a well produced at one rate before it was shut in for good, s; else None."""
+    changes = well.rate_changes
+    if len(changes) == 2 and changes[0][1] != 0.0 and changes[1][1] == 0.0:
+        return changes[1][0] - changes[0][0]
+    return None
+
+
+def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Path | None:
+    """Pressure of a shut well against Horner's time; None where it is not such a test.
+
+    The first two axes that vary are told apart by colour and line style; others stay at their
+    first value.
+    """
+    varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
+    colour, style = ([*varied, None, None])[:2]
+    colours = pick(dataset.sizes[colour], _MOST[0]) if colour else [0]
+    styles = pick(dataset.sizes[style], _MOST[1]) if style else [0]
+    times = dataset["elapsed_time"].values
+    factor, unit = display("Pa", float(np.nanmax(np.abs(dataset["well_pressure"].values))))
+    figure = new_figure(7.4, 4.6)
+    panel = figure.subplots()
+    drawn = 0
+    for (c, i), (s, j) in product(enumerate(colours), enumerate(styles)):
+        index = {a: 0 for a in axes(dataset)}
+        index |= {name: at for name, at in ((colour, i), (style, j)) if name}
+        case, own = dataset.isel(index), well_of(index, well)
+        production = production_time(own) if own is not None else None
+        if production is None or int(case["status"]) != Status.DONE:
+            continue
+        since = times - own.rate_changes[1][0]  # type: ignore[union-attr]
+        shut = since > 0
+        if np.count_nonzero(shut) < 2:
+            continue
+        named = ", ".join(
+            f"{axis_title(name)} {axis_value(dataset, name, at)}"
+            for name, at in ((colour, i), (style, j))
+            if name
+        )
+        panel.plot(
+            horner_time(since[shut], production),
+            case["well_pressure"].sel(well=well).values[shut] * factor,
+            color=shades("Blues", len(colours))[c],
+            linestyle=LINE_STYLES[s],
+            label=named or well,
+        )
+        drawn += 1
+    if not drawn:
+        return None
+    panel.set(
+        xscale="log",
+        xlabel="Horner time (t_p + Δt) / Δt",
+        ylabel=f"well pressure ({unit})",
+        title=f"Well {well}: build-up",
+    )
+    panel.invert_xaxis()
+    panel.legend()
+    caption = (
+        f"Horner plot of well {well}, {drawn} cases. Radial flow in a reservoir whose boundary is "
+        "not felt is a straight line of slope q μ / (4π k) per natural-log unit, which reaches "
+        "the initial pressure at 1."
+    )
+    return save(figure, path, caption)
