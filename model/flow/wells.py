@@ -128,8 +128,8 @@ def radial_conductance(
     """2π k / μ of the rock around a well, m³/(s Pa) for unit depth.
 
     From radial flow through the pipes between two circles around it, of which the inner is
-    its wall or a few pores wide, and the outer some pores wider or at the rim. Fractures of a
-    given aperture are left out; 0 where nothing else conducts.
+    its wall or a few pores wide, and the outer some pores wider or at the rim. Pipes along
+    fractures are left out; 0 where nothing else conducts.
     """
     spacing = float(np.sqrt(network.area[network.inside].mean()))
     room = float(distance_to_rim(region, np.array([well.at]))[0]) - spacing
@@ -144,7 +144,7 @@ def radial_conductance(
     node = np.full(len(network.x), -1)
     node[near] = np.arange(len(near))
     i, j, g = conducting_pipes(network, apertures, (wide,), well_of)
-    rock = np.isnan(apertures.pipe_trace_to[_conducting(network, apertures)])
+    rock = apertures.on_fracture[_conducting(network, apertures)] < 0
     i, j, g = i[rock], j[rock], g[rock]
     at_wall, at_rim = np.zeros(len(near)), np.zeros(len(near))
     for one, other in ((i, j), (j, i)):
