@@ -322,7 +322,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         run=flow,
-        version=1,
+        version=2,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,
