@@ -39,8 +39,8 @@ bench: .venv/ready  ## measured claims; one with NAME=…
 
 peers: .venv/ready .peers/ready  ## compare with other codes anew, and keep what they answer
 	$(BIN)/python -m tests.peers.pressures .peers/bin/python
-	command -v yade >/dev/null && $(BIN)/python -m tests.peers.grain_forces \
-	  || echo "yade is not installed; its part is left as it was"
+	if command -v yade >/dev/null; then $(BIN)/python -m tests.peers.grain_forces; \
+	else echo "yade is not installed (apt-get install yade); its part is left as it was"; fi
 
 clean:
 	rm -rf .venv .peers build *.egg-info
