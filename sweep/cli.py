@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import os
 import signal
 import sys
@@ -87,6 +88,9 @@ def run(options: argparse.Namespace) -> int:
     from sweep.engine import run_study
     from sweep.progress import ProgressLine
 
+    # what Dask's loops report of a dead worker is judged by the run, and told as an outcome
+    for name in ("asyncio", "distributed.batched", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     line = ProgressLine()
     try:
         finished = run_study(
