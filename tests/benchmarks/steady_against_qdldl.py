@@ -74,7 +74,7 @@ def run() -> Result:
         mine = min([first, *(ours(problem, turn)[0] for turn in range(1, REPEATS))])
         pairs = [theirs(matrix, rhs) for _ in range(REPEATS)]
         peer = min(seconds for seconds, _ in pairs)
-        agree = abs(pressure[0] / pairs[0][1][problem.system.pores] - 1.0)
+        agree = abs(pressure[0] / pairs[0][1][problem.system.well_node[0]] - 1.0)
         took.append(mine)
         lines.append(
             f"{problem.system.pores} pores: {mine:.3f} s, qdldl {peer:.3f} s, "

@@ -36,9 +36,11 @@ def system_of(n, i, j, g, node, source, fixed_g) -> System:
         sides=("left", "right"),
         pressure_wells=(),
         rate_wells=(0,),
+        well_node=np.array([n - 1]),
         node_of_domain=np.arange(n - 1),
         source_of_domain=np.full(n - 1, -1),
         isolated=0,
+        initial=np.empty((0, n)),
     )
 
 
