@@ -261,13 +261,14 @@ class _Execution:
         while bundle := self.schedule.next_bundle(alone_possible):
             tasks = tuple(self._task(run) for run in bundle.runs)
             if self.pool.shares_store:
-                job = Job(str(self.store.root.resolve()), self.table, tasks)
+                store = str(self.store.root.resolve())
+                job = Job(store, self.table, tasks, memory=self.limits.memory)
             else:
                 files = self._files_for(address, tasks)
                 if files is None:
                     self.schedule.again(bundle.runs)
                     continue
-                job = Job(None, self.table, tasks, files)
+                job = Job(None, self.table, tasks, files, self.limits.memory)
             self._submit(address, bundle, run_job, job)
             return
 

@@ -25,7 +25,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from model.outcome import ModelError
+from model.memory import limited
+from model.outcome import ModelError, OutOfMemory
 from model.parameters import SceneError
 from model.quantities import CASE
 from sweep.stages import Status, stage_table
@@ -56,6 +57,7 @@ class Job:
     table: str  # where the table of stages lies
     tasks: tuple[Task, ...]
     files: Mapping[str, bytes] = field(default_factory=dict)  # of parents that travel, by identity
+    memory: float | None = None  # bytes of resident memory that the worker may come to
 
 
 @dataclass(frozen=True)
@@ -116,7 +118,8 @@ def run_job(job: Job) -> list[Outcome]:
         if failed.intersection(filter(None, task.parents)):
             failed.add(task.id)
             continue
-        outcome = _run(task, stages, held)
+        with limited(job.memory):
+            outcome = _run(task, stages, held)
         if outcome.status is not Status.DONE:
             failed.add(task.id)
         if held.store is None and task.id in held.made:
@@ -178,6 +181,8 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
             _check_numbers(arrays)
     except MemoryError:
         status, message = Status.OUT_OF_MEMORY, "no memory left; try fewer grains or fewer workers"
+    except OutOfMemory as error:
+        status, message = Status.OUT_OF_MEMORY, str(error)
     except (ModelError, SceneError) as error:
         status, message = Status.FAILED, str(error)
     except Exception as error:  # whatever a stage does must cost this run only

@@ -53,7 +53,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.stages": ("model.stages",),
     "sweep.plan": ("model.stages",),
     "sweep.heritage": ("model.stages",),
-    "sweep.worker": ("model.stages",),
+    "sweep.worker": ("model.stages", "model.memory"),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),
 }

@@ -108,3 +108,14 @@ def test_memory_is_bounded_and_keeps_what_was_used_last():
 
 def test_the_toy_rows_are_those_of_the_model():
     assert [f.name for f in fields(toy_stages.Stage)] == [f.name for f in fields(Stage)]
+
+
+def test_what_would_not_fit_is_foreseen(store):
+    """The limit of a case counts before memory is taken, and only for its own job."""
+    pack, flow, _ = tasks(toy_stages.FORESEES)
+    limited = Job(str(store.root), toys.TABLE, (pack, flow), memory=1.5e8)
+    ended = run_job(limited)[1]
+    assert ended.status is Status.OUT_OF_MEMORY
+    assert "a toy needs 0.1 GB" in ended.message
+    assert "limits.memory" in ended.message
+    assert run(store, flow)[0].status is Status.DONE

@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from model.memory import foresee
 from model.outcome import ModelError
 from model.scene import Scene
 
 SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
-NO_NUMBER, HOLDS_ON = -7.0, -8.0
+NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
 
 
 @dataclass(frozen=True)
@@ -76,6 +77,8 @@ def flow(
         raise ZeroDivisionError("one over nothing")
     if rate == NO_MEMORY:
         raise MemoryError
+    if rate == FORESEES:
+        foresee("a toy", 1e8)
     if rate == NO_NUMBER:
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs
