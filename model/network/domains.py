@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -151,12 +153,9 @@ def _without_crossings(
     if len(a) < 2:
         return a, b, 0
     length = np.hypot(x[b] - x[a], y[b] - y[a])
-    middle = np.column_stack([0.5 * (x[a] + x[b]), 0.5 * (y[a] + y[b])])
-    # two segments that cross have midpoints nearer than half the sum of their lengths
-    pairs = cKDTree(middle).query_pairs(float(length.max()), output_type="ndarray")
-    near = np.hypot(*(middle[pairs[:, 0]] - middle[pairs[:, 1]]).T)
-    pairs = pairs[near < 0.5 * (length[pairs[:, 0]] + length[pairs[:, 1]])]
-    pairs = pairs[crossing_pairs(pairs, a, b, x, y)]
+    if not length.any():
+        return a, b, 0
+    pairs = crossing_pairs(a, b, x, y, _cell_size(length, x, y))
     if len(pairs) == 0:
         return a, b, 0
     gap = length - radius[a] - radius[b]
@@ -169,6 +168,15 @@ def _without_crossings(
         if any(keep[f] for f in crossed[e]):
             keep[e] = False
     return a[keep], b[keep], int(np.count_nonzero(~keep))
+
+
+def _cell_size(length: np.ndarray, x: np.ndarray, y: np.ndarray) -> float:
+    """Size of cells that hold few contacts each, and are not many more than contacts, m."""
+    wide, high = float(np.ptp(x)), float(np.ptp(y))
+    contacts = len(length)
+    return max(
+        float(length.mean()), math.sqrt(wide * high / contacts), wide / contacts, high / contacts
+    )
 
 
 def _load_bearing(n: int, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -121,48 +121,127 @@ def measure_faces(first, corner_grain, x, y, radius):
 
 
 @kernel
+def _cell(value, low, size, count):
+    """Cell of a row of `count` that a coordinate lies in; what lies outside is in the last."""
+    return min(max(int((value - low) / size), 0), count - 1)
+
+
+@kernel
 def locate(px, py, first, corner_grain, x, y):
-    """The face whose polygon contains each point, −1 where none does."""
-    n = first.size - 1
-    box = np.empty((n, 4))
-    for f in range(n):
-        box[f, 0], box[f, 1], box[f, 2], box[f, 3] = np.inf, -np.inf, np.inf, -np.inf
+    """The first face whose polygon contains each point, −1 where none does.
+
+    The points are sorted into cells, about one in each; a face looks at the cells that its
+    box meets.
+    """
+    found = np.full(px.size, -1, np.int64)
+    if px.size == 0:
+        return found
+    west, south = px.min(), py.min()
+    cells = int(np.ceil(np.sqrt(px.size)))
+    size = max(px.max() - west, py.max() - south) / cells
+    if size == 0.0:
+        cells, size = 1, 1.0
+    start = np.zeros(cells * cells + 1, np.int64)
+    cell = np.empty(px.size, np.int64)
+    for p in range(px.size):
+        column, row = _cell(px[p], west, size, cells), _cell(py[p], south, size, cells)
+        cell[p] = row * cells + column
+        start[cell[p] + 1] += 1
+    start = np.cumsum(start)
+    fill = start.copy()
+    points = np.empty(px.size, np.int64)
+    for p in range(px.size):
+        points[fill[cell[p]]] = p
+        fill[cell[p]] += 1
+    for f in range(first.size - 1):
+        x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
         for k in range(first[f], first[f + 1]):
             gx, gy = x[corner_grain[k]], y[corner_grain[k]]
-            box[f, 0], box[f, 1] = min(box[f, 0], gx), max(box[f, 1], gx)
-            box[f, 2], box[f, 3] = min(box[f, 2], gy), max(box[f, 3], gy)
-    found = np.full(px.size, -1, np.int64)
-    for p in range(px.size):
-        for f in range(n):
-            if px[p] < box[f, 0] or px[p] > box[f, 1] or py[p] < box[f, 2] or py[p] > box[f, 3]:
-                continue
-            inside = False
-            lo, hi = first[f], first[f + 1]
-            for k in range(lo, hi):
-                g = corner_grain[k]
-                q = corner_grain[k + 1] if k + 1 < hi else corner_grain[lo]
-                if (y[g] > py[p]) != (y[q] > py[p]) and px[p] < x[g] + (py[p] - y[g]) * (
-                    x[q] - x[g]
-                ) / (y[q] - y[g]):
-                    inside = not inside
-            if inside:
-                found[p] = f
-                break
+            x0, x1, y0, y1 = min(x0, gx), max(x1, gx), min(y0, gy), max(y1, gy)
+        for row in range(_cell(y0, south, size, cells), _cell(y1, south, size, cells) + 1):
+            for column in range(_cell(x0, west, size, cells), _cell(x1, west, size, cells) + 1):
+                for s in range(start[row * cells + column], start[row * cells + column + 1]):
+                    p = points[s]
+                    if (
+                        found[p] < 0
+                        and x0 <= px[p] <= x1
+                        and y0 <= py[p] <= y1
+                        and _contains(px[p], py[p], first[f], first[f + 1], corner_grain, x, y)
+                    ):
+                        found[p] = f
     return found
 
 
 @kernel
-def crossing_pairs(pairs, a, b, x, y):
-    """Which of the candidate pairs of contacts properly cross each other."""
-    crosses = np.zeros(len(pairs), np.bool_)
-    for k in range(len(pairs)):
-        e, f = pairs[k, 0], pairs[k, 1]
-        p, q, r, s = a[e], b[e], a[f], b[f]
-        if p in (r, s) or q in (r, s):
-            continue
-        d1 = (x[q] - x[p]) * (y[r] - y[p]) - (y[q] - y[p]) * (x[r] - x[p])
-        d2 = (x[q] - x[p]) * (y[s] - y[p]) - (y[q] - y[p]) * (x[s] - x[p])
-        d3 = (x[s] - x[r]) * (y[p] - y[r]) - (y[s] - y[r]) * (x[p] - x[r])
-        d4 = (x[s] - x[r]) * (y[q] - y[r]) - (y[s] - y[r]) * (x[q] - x[r])
-        crosses[k] = d1 * d2 < 0.0 and d3 * d4 < 0.0
-    return crosses
+def _contains(px, py, lo, hi, corner_grain, x, y):
+    """Whether the polygon of corners lo … hi − 1 contains a point (even–odd rule)."""
+    inside = False
+    for k in range(lo, hi):
+        g = corner_grain[k]
+        q = corner_grain[k + 1] if k + 1 < hi else corner_grain[lo]
+        if (y[g] > py) != (y[q] > py) and px < x[g] + (py - y[g]) * (x[q] - x[g]) / (y[q] - y[g]):
+            inside = not inside
+    return inside
+
+
+@kernel
+def crossing_pairs(a, b, x, y, size):
+    """Pairs of contacts (pairs, 2) that properly cross each other.
+
+    Contacts are sorted into square cells of the given size that their boxes meet; a pair is
+    looked at in the cell where the boxes' common part begins.
+    """
+    west, south = x.min(), y.min()
+    columns = int((x.max() - west) / size) + 1
+    rows = int((y.max() - south) / size) + 1
+    start = np.zeros(columns * rows + 1, np.int64)
+    member = np.empty(0, np.int64)
+    for filling in (False, True):
+        for e in range(a.size):
+            x0, x1 = min(x[a[e]], x[b[e]]), max(x[a[e]], x[b[e]])
+            y0, y1 = min(y[a[e]], y[b[e]]), max(y[a[e]], y[b[e]])
+            for row in range(_cell(y0, south, size, rows), _cell(y1, south, size, rows) + 1):
+                for column in range(
+                    _cell(x0, west, size, columns), _cell(x1, west, size, columns) + 1
+                ):
+                    cell = row * columns + column
+                    if filling:
+                        start[cell] -= 1
+                        member[start[cell]] = e
+                    else:
+                        start[cell] += 1
+        if not filling:
+            start = np.cumsum(start)
+            member = np.empty(start[-1], np.int64)
+    found = 0
+    pairs = np.empty((0, 2), np.int64)
+    for filling in (False, True):
+        if filling:
+            pairs = np.empty((found, 2), np.int64)
+            found = 0
+        for cell in range(columns * rows):
+            for s in range(start[cell], start[cell + 1]):
+                for t in range(s + 1, start[cell + 1]):
+                    e, f = min(member[s], member[t]), max(member[s], member[t])
+                    x0 = max(min(x[a[e]], x[b[e]]), min(x[a[f]], x[b[f]]))
+                    y0 = max(min(y[a[e]], y[b[e]]), min(y[a[f]], y[b[f]]))
+                    home = _cell(y0, south, size, rows) * columns + _cell(x0, west, size, columns)
+                    if home == cell and _cross(a[e], b[e], a[f], b[f], x, y):
+                        if filling:
+                            pairs[found, 0], pairs[found, 1] = e, f
+                        found += 1
+        if found == 0:
+            break
+    return pairs
+
+
+@kernel
+def _cross(p, q, r, s, x, y):
+    """Whether the segments p–q and r–s cross between their ends."""
+    if p in (r, s) or q in (r, s):
+        return False
+    d1 = (x[q] - x[p]) * (y[r] - y[p]) - (y[q] - y[p]) * (x[r] - x[p])
+    d2 = (x[q] - x[p]) * (y[s] - y[p]) - (y[q] - y[p]) * (x[s] - x[p])
+    d3 = (x[s] - x[r]) * (y[p] - y[r]) - (y[s] - y[r]) * (x[p] - x[r])
+    d4 = (x[s] - x[r]) * (y[q] - y[r]) - (y[s] - y[r]) * (x[q] - x[r])
+    return d1 * d2 < 0.0 and d3 * d4 < 0.0
