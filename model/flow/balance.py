@@ -47,7 +47,8 @@ class SteadyFlow(NamedTuple):
     def inflow(self, system: System, source: int) -> np.ndarray:
         """What each fixed pressure lets in, (fixed,) m³/s."""
         count = system.fixed_count
-        total = np.bincount(system.fixed_source, weights=self.link, minlength=count)
+        total = np.zeros(count)
+        np.add.at(total, system.fixed_source, self.link)
         own = np.arange(count) == source
         short = system.short_g * (own[system.short_a].astype(float) - own[system.short_b])
         np.add.at(total, system.short_a, short)
