@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
+import threading
 import time
-from pathlib import Path
 
 import numpy as np
+import psutil
 import qdldl
 from scipy.sparse import coo_array, csc_array
 
@@ -52,12 +55,26 @@ def ours(problem: Problem, turn: int) -> tuple[float, np.ndarray]:
     return time.process_time() - start, answer.output[1, 0, :1]
 
 
-def memory(field: str) -> float:
-    """Bytes of this process, as Linux tells them."""
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith(field):
-            return 1024.0 * float(line.split()[1])
-    return np.nan
+def memory(problem: Problem, turn: int) -> float:
+    """Bytes that a solution takes at its peak above what the process held before."""
+    process = psutil.Process()
+    gc.collect()
+    # what was freed goes back to the system, or it would be taken again without being seen
+    ctypes.CDLL("libc.so.6").malloc_trim(0)
+    before = process.memory_info().rss
+    most, done = before, threading.Event()
+
+    def watch() -> None:
+        nonlocal most
+        while not done.wait(0.002):
+            most = max(most, process.memory_info().rss)
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    ours(problem, turn)
+    done.set()
+    watcher.join()
+    return float(most - before)
 
 
 def run() -> Result:
@@ -67,11 +84,9 @@ def run() -> Result:
     for size in SIZES:
         problem = well_problem(size)._replace(lag=np.array([np.inf]))
         matrix, rhs = upper(problem.system), problem.system.source(1)
-        before = memory("VmRSS")
-        Path("/proc/self/clear_refs").write_text("5")  # the largest memory counts from here
-        first, pressure = ours(problem, 0)
-        grown = memory("VmHWM") - before
-        mine = min([first, *(ours(problem, turn)[0] for turn in range(1, REPEATS))])
+        runs = [ours(problem, turn) for turn in range(REPEATS)]
+        mine, pressure = min(seconds for seconds, _ in runs), runs[0][1]
+        grown = memory(problem, REPEATS)
         pairs = [theirs(matrix, rhs) for _ in range(REPEATS)]
         peer = min(seconds for seconds, _ in pairs)
         agree = abs(pressure[0] / pairs[0][1][problem.system.well_node[0]] - 1.0)
