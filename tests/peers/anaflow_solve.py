@@ -13,7 +13,7 @@ import numpy as np
 
 RATE = -2.0 * np.pi  # AnaFlow counts production negative
 TIMES = np.geomspace(0.1, 1e5, 19)
-RADII = np.array([1.0, 1.5, 4.0, 10.0])
+RADII = np.array([1.0 + 1e-9, 1.5, 4.0, 10.0])  # the wall itself is refused
 BOUND = 14.26
 
 

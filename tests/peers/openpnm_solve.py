@@ -19,7 +19,7 @@ def algorithm(kind, given):
     network["pore.volume"] = given["storage"]
     phase = openpnm.phase.Phase(network=network)
     phase["throat.hydraulic_conductance"] = given["conductance"]
-    made = kind(phase=phase)
+    made = kind(network=network, phase=phase)
     made.settings["quantity"] = "pore.pressure"
     made.settings["conductance"] = "throat.hydraulic_conductance"
     made.set_value_BC(pores=given["held"], values=given["held_pressure"])
