@@ -10,9 +10,11 @@ from model import scene as parts
 from model.parameters import SceneError
 from model.region import Circle, Rectangle
 from model.scene import (
+    MEASURED_BY_A_TEST,
     OBSERVABLES,
     BiWing,
     Bonds,
+    FailureTest,
     Fluid,
     FractureSet,
     Grains,
@@ -230,11 +232,16 @@ def test_auto_is_decided_by_the_times():
     assert good(solver=Solver(method="explicit")).method == "explicit"
 
 
+STIFF = Grains(count=9, porosity=0.17, modulus=1e10)
+
+
 def test_only_flow_outputs_need_flow():
     assert good().flows
     for name in OBSERVABLES:
-        made = good(observe=(name,), probes=(Probe("p", (0.0, 0.0)),))
-        assert made.flows == (name not in ("permeability", "grain_map"))
+        made = good(
+            observe=(name,), probes=(Probe("p", (0.0, 0.0)),), grains=STIFF, test=FailureTest()
+        )
+        assert made.flows == (name not in ("permeability", "grain_map", *MEASURED_BY_A_TEST))
     assert not good(observe=("permeability",), times=(), wells=(), boundaries=()).flows
 
 

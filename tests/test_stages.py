@@ -13,14 +13,18 @@ from model.outcome import ModelError
 from model.quantities import CASE, MAPS
 from model.region import Circle, Polygon, Rectangle
 from model.scene import (
+    MEASURED_BY_A_TEST,
     OBSERVABLES,
     BiWing,
+    Bonds,
+    FailureTest,
     Fluid,
     FractureSet,
     Grains,
     Matrix,
     Probe,
     Scene,
+    SceneError,
     Solver,
     Stress,
     Trace,
@@ -29,13 +33,14 @@ from model.scene import (
 from model.stages import STAGES, case_maps, run_stages, simulate
 
 BY_NAME = {stage.name: stage for stage in STAGES}
+OBSERVED = tuple(name for name in OBSERVABLES if name not in MEASURED_BY_A_TEST)
 GRAINS = Grains(count=150, porosity=0.17, modulus=2e10)
 SCENE = Scene(
     region=Circle(1.0),
     grains=GRAINS,
     matrix=Matrix(permeability=1e-14, half_force=5e6),
     fluid=Fluid(1e-3, 1e9),
-    observe=OBSERVABLES,
+    observe=OBSERVED,
     stress=Stress(1.2e7, 1e7),
     fractures=(
         BiWing(name="wings", aperture=1e-4, at=(0.0, 0.0), angle=0.2, half_length=0.5),
@@ -220,7 +225,7 @@ def test_permeability_alone_runs_neither_stress_nor_flow(monkeypatch):
     assert found["permeability"].shape == (2, 2)
 
 
-@pytest.mark.parametrize("name", OBSERVABLES)
+@pytest.mark.parametrize("name", OBSERVED)
 def test_what_is_observed_is_what_the_table_of_quantities_says(name):
     scene = changed(observe=(name,), stress=None, matrix=Matrix(aperture=1e-5), fractures=())
     found = simulate(scene)
@@ -378,3 +383,23 @@ def test_very_few_grains_give_a_tensor_or_a_clear_error(count, packing):
         tensor, why = np.eye(2), str(error)
         assert "raise grains.count" in why or "give the matrix an aperture" in why  # noqa: PT017
     assert np.all(np.linalg.eigvalsh(tensor) >= 0)
+
+
+def test_a_test_to_failure_needs_no_pores():
+    """Only grains are packed and tested; what a test measures is observed, and nothing of flow."""
+    scene = Scene(
+        region=Rectangle(1.0, 2.0),
+        grains=GRAINS,
+        bonds=Bonds(kind="parallel", tensile_strength=2e7, shear_strength=2e7),
+        test=FailureTest(confining_stress=1e6, strain_step=4e-6),
+        observe=MEASURED_BY_A_TEST,
+    )
+    products = run_stages(scene)
+    assert set(products) == {"pack", "strength", "observe"}
+    found = products["observe"]
+    assert set(MEASURED_BY_A_TEST) <= set(found) <= set(CASE)
+    assert all(np.isfinite(found[name]) for name in MEASURED_BY_A_TEST)
+    with pytest.raises(SceneError, match="needs it"):
+        dataclasses.replace(scene, observe=("permeability",))
+    with pytest.raises(SceneError, match="describe it"):
+        dataclasses.replace(scene, test=None, stress=Stress(1e6, 1e6))

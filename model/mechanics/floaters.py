@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from model.mechanics.grains import Array
 
-NEIGHBOURS = 10  # nearest grains among which the three are sought
+NEIGHBOURS = 12  # nearest grains among which the three are sought
 LEAST = 0.05  # mean radii: no smaller grain is made; the floater stays
 TOUCH = 1e-9  # part of the radius by which a fitted grain falls short of its neighbours
 TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
@@ -49,7 +49,9 @@ def fit(x: Array, y: Array, radius: Array, floating: Array) -> tuple[Array, Arra
             around = np.r_[around, close[apart < 4.0 * mean]]
         gap = np.hypot(x[around] - x[grain], y[around] - y[grain]) - radius[around]
         around = around[np.argsort(gap, kind="stable")[:NEIGHBOURS]]
-        best = largest_circle(x[around], y[around], radius[around], x[grain], y[grain])
+        best = largest_circle(
+            x[around], y[around], radius[around], (x[grain], y[grain]), radius[grain]
+        )
         if best is None or best[2] < LEAST * mean:
             continue
         x[grain], y[grain], radius[grain] = best[0], best[1], best[2] * (1.0 - TOUCH)
@@ -60,12 +62,13 @@ def fit(x: Array, y: Array, radius: Array, floating: Array) -> tuple[Array, Arra
 
 
 def largest_circle(
-    x: Array, y: Array, radius: Array, at_x: float, at_y: float
+    x: Array, y: Array, radius: Array, at: tuple[float, float], reach: float
 ) -> tuple[float, float, float, tuple[int, ...]] | None:
     """The largest circle that touches three of the given ones and overlaps none, in a void.
 
-    The void is the one in which (at_x, at_y) lies: the circle found must cover that point, or
-    have it within half its radius. Returns (x, y, radius, the three), or None.
+    The void is the one in which the point `at` lies: the circle's centre is no farther from it
+    than `reach`, and the circle is no larger than three times that, so that it is none that
+    encloses the others from outside. Returns (x, y, radius, the three), or None.
     """
     i, j, k = TRIPLES[np.all(len(x) > TRIPLES, axis=1)].T
     # |c − c_i| = ρ + r_i for three: the differences of the squares are linear in (c, ρ)
@@ -89,7 +92,7 @@ def largest_circle(
         cy = y[i][triple] + py[triple] + qy[triple] * rho
         free = np.hypot(cx[:, None] - x, cy[:, None] - y) - radius - rho[:, None]
         good = (rho > 0.0) & (free.min(axis=1) > -1e-9 * radius.mean())
-        good &= np.hypot(cx - at_x, cy - at_y) < 1.5 * rho
+        good &= (np.hypot(cx - at[0], cy - at[1]) <= reach) & (rho <= 3.0 * reach)
     if not good.any():
         return None
     best = int(np.argmax(np.where(good, rho, -np.inf)))

@@ -19,7 +19,7 @@ from model.mechanics.servo import STANDING, Servo
 from model.mechanics.stress import specimen_of
 from model.outcome import ModelError
 from model.products import Packing, StrengthTest
-from model.scene import Bonds, Test
+from model.scene import Bonds, FailureTest
 
 INSTALLED = 1e-5  # pressure over k_n at which bonds are installed
 HOLDING = 10.0  # friction while the packing is relieved, so that it stays as it is
@@ -40,7 +40,7 @@ def strength(
     stiffness_ratio: float,
     friction: float,
     bonds: Bonds | None,
-    test: Test,
+    test: FailureTest,
 ) -> StrengthTest:
     """Test a packing to failure, see the head of this file.
 
@@ -115,7 +115,7 @@ def relieve(packing: Packing) -> Packing:
     )
 
 
-def _press(specimen: Specimen, test: Test, kn: float) -> tuple[Array, Array, Array, Array]:
+def _press(specimen: Specimen, test: FailureTest, kn: float) -> tuple[Array, Array, Array, Array]:
     """Stress, axial strain and lateral strain (extension positive), cracks of a biaxial test."""
     confining = max(test.confining_stress / kn, LEAST_STRESS)
     hold = Servo(INSTALLED, INSTALLED, confining, confining, pace=np.inf)
@@ -142,7 +142,7 @@ def _press(specimen: Specimen, test: Test, kn: float) -> tuple[Array, Array, Arr
     return _columns(rows)
 
 
-def _pull(specimen: Specimen, test: Test) -> tuple[Array, Array, Array, Array]:
+def _pull(specimen: Specimen, test: FailureTest) -> tuple[Array, Array, Array, Array]:
     """The same of a direct tension test; tension and elongation positive."""
     grains, box = specimen.grains, specimen.box
     width, height = box[1] - box[0], box[3] - box[2]

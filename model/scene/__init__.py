@@ -12,13 +12,14 @@ from model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
 from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
 from model.scene.lines import JointLine, Line, joint_lines, lines_of
-from model.scene.rock import Bonds, Grains, Stress, Test
+from model.scene.rock import Bonds, FailureTest, Grains, Stress
 
 __all__ = [
     "MEASURED_BY_A_TEST",
     "OBSERVABLES",
     "BiWing",
     "Bonds",
+    "FailureTest",
     "Circle",
     "Fluid",
     "Fracture",
@@ -37,7 +38,6 @@ __all__ = [
     "SceneError",
     "Solver",
     "Stress",
-    "Test",
     "Trace",
     "Well",
     "joint_lines",

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from model.parameters import SceneError, check_fields, parameter
 
-__all__ = ["Bonds", "Grains", "Stress", "Test"]
+__all__ = ["Bonds", "FailureTest", "Grains", "Stress"]
 
 # What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
@@ -174,7 +174,7 @@ class Stress:
 
 
 @dataclass(frozen=True, slots=True)
-class Test:
+class FailureTest:
     """A test to failure of the whole packing, in the direction y."""
 
     kind: str = parameter(

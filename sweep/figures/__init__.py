@@ -23,6 +23,7 @@ from sweep.figures.horner import draw_horner
 from sweep.figures.maps import draw_maps
 from sweep.figures.permeability import draw_permeability
 from sweep.figures.speed import draw_speed
+from sweep.figures.strength import draw_strength
 from sweep.figures.style import house_style
 from sweep.figures.wells import draw_well
 from sweep.results import open_case
@@ -88,9 +89,10 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
                 path = folder / f"pressure_map_{k}.png"
                 maps, scene = maps_of(index), scene_of(index)
                 drawn.append(draw_maps(maps, scene, title, path, study.figures.maps))
+        seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
         if "permeability" in dataset:
-            seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
             drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
+        drawn.append(draw_strength(dataset, folder / "strength.png", seeds))
     return [path for path in drawn if path is not None]
 
 

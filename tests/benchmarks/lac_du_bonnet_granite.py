@@ -7,7 +7,7 @@ import statistics
 from model.outcome import ModelError
 from model.products import Packing
 from model.region import Rectangle
-from model.scene import Bonds, Test
+from model.scene import Bonds, FailureTest
 from model.stages import pack, strength
 from tests.benchmarks.result import Result
 
@@ -47,7 +47,7 @@ def run() -> Result:
                         stiffness_ratio=2.5,
                         friction=0.5,
                         bonds=BONDS,
-                        test=Test(confining_stress=confining),
+                        test=FailureTest(confining_stress=confining),
                     )
                 )
             except ModelError as error:

@@ -67,11 +67,11 @@ def test_a_row_under_its_ends_is_one_chain() -> None:
 def test_largest_circle_between_three_discs() -> None:
     """The inner Soddy circle: 1 / ρ = 3 + 2 √3 for three unit discs that touch."""
     x, y = np.array([0.0, 2.0, 1.0]), np.array([0.0, 0.0, np.sqrt(3.0)])
-    found = largest_circle(x, y, np.ones(3), 1.0, 0.6)
+    found = largest_circle(x, y, np.ones(3), (1.0, 0.6), 1.0)
     assert found is not None
     assert found[2] == pytest.approx(1.0 / (3.0 + 2.0 * np.sqrt(3.0)), rel=1e-9)
     assert found[:2] == pytest.approx((1.0, 1.0 / np.sqrt(3.0)))
-    assert largest_circle(x, y, np.ones(3), 9.0, 9.0) is None
+    assert largest_circle(x, y, np.ones(3), (9.0, 9.0), 1.0) is None
 
 
 def test_floaters_are_fitted_without_overlap_and_touch_three() -> None:

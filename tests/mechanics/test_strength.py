@@ -7,7 +7,7 @@ from model.mechanics.moduli import elastic_moduli
 from model.mechanics.strength import strength
 from model.outcome import ModelError
 from model.products import StrengthTest
-from model.scene import Bonds, Test
+from model.scene import Bonds, FailureTest
 from tests.mechanics.rocks import packed
 
 KN = 124e9
@@ -24,7 +24,7 @@ def to_failure(rock, cement, **test) -> StrengthTest:
         stiffness_ratio=2.5,
         friction=0.5,
         bonds=cement,
-        test=Test(strain_step=4e-6, **test),
+        test=FailureTest(strain_step=4e-6, **test),
     )
 
 

