@@ -265,6 +265,7 @@ STAGES: tuple[Stage, ...] = (
             "friction": lambda s: s.grains.friction,
             "bonds": lambda s: s.bonds,
             "test": lambda s: s.test,
+            "seed": lambda s: s.grains.seed,
         },
         wanted=lambda s: s.tests,
         product=StrengthTest,

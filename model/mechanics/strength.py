@@ -41,6 +41,7 @@ def strength(
     friction: float,
     bonds: Bonds | None,
     test: FailureTest,
+    seed: int = 0,
 ) -> StrengthTest:
     """Test a packing to failure, see the head of this file.
 
@@ -49,6 +50,7 @@ def strength(
     packing : the packed state; all of it is the specimen.
     normal_stiffness, stiffness_ratio, friction, bonds : as for `stress.load`.
     test : what is done to it.
+    seed : of the bonds' strengths.
 
     Raises
     ------
@@ -56,7 +58,7 @@ def strength(
         largest strain.
     """
     relieved = relieve(packing)
-    specimen = specimen_of(relieved, normal_stiffness, stiffness_ratio, friction, bonds)
+    specimen = specimen_of(relieved, normal_stiffness, stiffness_ratio, friction, bonds, seed=seed)
     if test.kind == "tension":
         curve = _pull(specimen, test)
     else:

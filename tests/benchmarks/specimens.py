@@ -35,7 +35,7 @@ def packed(count: int, *, porosity: float = 0.165, seed: int = 1, floaters: str 
 def responses(count: int) -> UnitLoads:
     """What all stress states of a bonded rock share."""
     elastic = {k: v for k, v in CONTACTS.items() if k != "normal_stiffness"}
-    return unit_loads(packed(count), bonds=CEMENT.elastic, **elastic)
+    return unit_loads(packed(count), bonds=CEMENT.elastic(CONTACTS["normal_stiffness"]), **elastic)
 
 
 def loaded(
