@@ -399,7 +399,7 @@ def test_a_test_to_failure_needs_no_pores():
     found = products["observe"]
     assert set(MEASURED_BY_A_TEST) <= set(found) <= set(CASE)
     assert all(np.isfinite(found[name]) for name in MEASURED_BY_A_TEST)
-    with pytest.raises(SceneError, match="needs it"):
+    with pytest.raises(SceneError, match="needs a fluid"):
         dataclasses.replace(scene, observe=("permeability",))
     with pytest.raises(SceneError, match="describe it"):
         dataclasses.replace(scene, test=None, stress=Stress(1e6, 1e6))

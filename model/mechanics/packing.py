@@ -29,6 +29,7 @@ from model.mechanics.grains import Array, along_hilbert_curve, at_rest, scaled_m
 from model.mechanics.lattices import CELL_AREA, lattice
 from model.mechanics.neighbours import find_pairs
 from model.mechanics.servo import STANDING, Servo
+from model.mechanics.sizes import Sizes, draw_radii, sizes_of
 from model.outcome import ModelError
 from model.products import Packing
 from model.region import Region, bounding_box
@@ -76,6 +77,9 @@ def pack(
     porosity: float | None,
     seed: int,
     floaters: str = "leave",
+    sizes: str = "uniform",
+    radius_deviation: float | None = None,
+    radii: tuple[float, ...] | None = None,
 ) -> Packing:
     """Grains at rest that cover the region with a margin, see the head of this file.
 
@@ -86,7 +90,10 @@ def pack(
     count : expected number of grains whose centre lies in the region, or
     mean_radius : the mean radius of the grains (m).
     packing : "random", "square" or "hexagonal"; the lattices have equal radii.
-    radius_ratio : largest over smallest radius of a random packing, uniform between.
+    radius_ratio : largest over smallest radius of a random packing; for sizes other than
+        "uniform" between the two it is not read.
+    sizes, radius_deviation, radii : "uniform"; "log-normal", the deviation of ln r given (cut at
+        2.5 of it on either side); or a "list" of radii in equal parts, only ratios of which count.
     porosity : wanted porosity of a random packing, met within 0.003 as a rule, 0.005 at the worst.
     seed : of the random numbers.
     floaters : "leave" them as they lie, or "fit" them into their voids (`floaters.fit`): a grain
@@ -104,13 +111,14 @@ def pack(
         grown = box + MARGIN * mean_radius * np.array([-1.0, 1.0, -1.0, 1.0])
         return lattice(packing, mean_radius, tuple(grown.tolist()))
     assert porosity is not None  # a random packing has one
+    law = sizes_of(sizes, radius_ratio, radius_deviation, radii)
     if mean_radius is None:
         assert count is not None
         solid = (1.0 - porosity) * region.area
-        mean_radius = float(np.sqrt(solid / (count * np.pi * mean_square_radius(radius_ratio))))
+        mean_radius = float(np.sqrt(solid / (count * np.pi * law.mean_square)))
     size = np.array([box[1] - box[0], box[3] - box[2]]) / mean_radius
     size = np.maximum(size + 2.0 * MARGIN, LEAST_WIDTH + 2.0 * WALL_LAYER)
-    trial = search(porosity, size, radius_ratio, seed, fits=floaters == "fit")
+    trial = search(porosity, size, law, seed, fits=floaters == "fit")
     centre = 0.5 * np.array([box[0] + box[1], box[2] + box[3]])
     return _product(trial, mean_radius, centre)
 
@@ -125,13 +133,7 @@ class Trial(NamedTuple):
     fitted: tuple[Array, Array]  # contacts without force of floaters that were fitted
 
 
-def mean_square_radius(radius_ratio: float) -> float:
-    """Mean of r² over the square of the mean of r, radii uniform on [r, ratio · r]."""
-    q = radius_ratio
-    return 4.0 * (1.0 + q + q * q) / (3.0 * (1.0 + q) ** 2)
-
-
-def search(wanted: float, size: Array, radius_ratio: float, seed: int, *, fits: bool) -> Trial:
+def search(wanted: float, size: Array, law: Sizes, seed: int, *, fits: bool) -> Trial:
     """A packing at rest of the wanted porosity, in a box of about `size` (mean radii).
 
     Recipes are named by the porosity that the table promises. The first is the wanted one;
@@ -144,7 +146,7 @@ def search(wanted: float, size: Array, radius_ratio: float, seed: int, *, fits: 
     best: Trial | None = None
     draw = steps = 0
     for _ in range(TRIES):
-        trial = attempt(recipe, wanted, size, radius_ratio, [seed, draw], fits=fits)
+        trial = attempt(recipe, wanted, size, law, [seed, draw], fits=fits)
         steps += trial.specimen.steps
         trial.specimen.steps = steps  # what the tries before it took is part of the cost
         miss = trial.porosity - wanted
@@ -169,17 +171,17 @@ def search(wanted: float, size: Array, radius_ratio: float, seed: int, *, fits: 
         return best
     if dense is None or loose is None:
         ends = (
-            attempt(end, wanted, size, radius_ratio, [seed, 0], fits=fits).porosity
+            attempt(end, wanted, size, law, [seed, 0], fits=fits).porosity
             for end in (least, greatest)
         )
         reached = "about {:.3f} to {:.3f}".format(*ends)
         raise ModelError(
             f"porosity {wanted:g} cannot be reached: random packings of radius ratio "
-            f"{radius_ratio:g} reach {reached}; choose grains.porosity in that range"
+            f"{law.ratio:g} reach {reached}; choose grains.porosity in that range"
         )
     raise ModelError(
         f"no packing of porosity {wanted:g} came to rest in {TRIES} tries (radius ratio "
-        f"{radius_ratio:g}); try another grains.seed, a porosity nearer to 0.17, or more grains"
+        f"{law.ratio:g}); try another grains.seed, a porosity nearer to 0.17, or more grains"
     )
 
 
@@ -187,7 +189,7 @@ def attempt(
     recipe: float,
     porosity: float,
     size: Array,
-    radius_ratio: float,
+    law: Sizes,
     seeds: list[int],
     *,
     fits: bool,
@@ -195,7 +197,7 @@ def attempt(
     """Pack by one recipe of the table, interpolated; with floaters fitted, if wanted."""
     start, friction = (float(np.interp(recipe, RECIPES[:, 0], RECIPES[:, k])) for k in (1, 2))
     rng = np.random.Generator(np.random.PCG64(seeds))
-    specimen = strewn(size, radius_ratio, porosity, start, rng)
+    specimen = strewn(size, law, porosity, start, rng)
     rested = compact(specimen, friction)
     grains = specimen.grains
     none = np.empty(0, np.int64)
@@ -205,15 +207,14 @@ def attempt(
 
 
 def strewn(
-    size: Array, radius_ratio: float, porosity: float, start: float, rng: np.random.Generator
+    size: Array, law: Sizes, porosity: float, start: float, rng: np.random.Generator
 ) -> Specimen:
     """Grains strewn at the solid fraction `start`, parted without friction in a standing box.
 
     At the wanted porosity they fill a box of `size` (width, height; mean radii).
     """
-    mean_square = mean_square_radius(radius_ratio)
-    n = max(4, round((1.0 - porosity) * size[0] * size[1] / (np.pi * mean_square)))
-    radius = np.sort(rng.uniform(1.0, radius_ratio, n) * 2.0 / (1.0 + radius_ratio))
+    n = max(4, round((1.0 - porosity) * size[0] * size[1] / (np.pi * law.mean_square)))
+    radius = np.sort(draw_radii(law, n, rng))
     box = size * np.sqrt(np.pi * np.sum(radius**2) / (start * size[0] * size[1]))
     # Every patch gets as many grains of every size, so that the density is even over long
     # distances; within its patch a grain lies anywhere.

@@ -121,9 +121,8 @@ class Scene:
         if self.test is not None and self.test.kind == "tension" and self.bonds is None:
             problems.append(("test.kind", "unbonded grains bear no tension; add bonds"))
         if self.porous:
-            what = "pores are observed, which needs it"
             problems += [
-                (name, what)
+                (name, f"what is observed needs a {name}")
                 for name, part in (("matrix", self.matrix), ("fluid", self.fluid))
                 if part is None
             ]

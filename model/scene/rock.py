@@ -33,6 +33,17 @@ class Grains:
     radius_ratio: float = parameter(
         default=1.66, at_least=1, at_most=10, help="largest over smallest radius, uniform between"
     )
+    sizes: str = parameter(
+        default="uniform",
+        choices=("uniform", "log-normal", "list"),
+        help="law of the radii; uniform reads radius_ratio",
+    )
+    radius_deviation: float | None = parameter(
+        default=None, above=0, at_most=0.46, help="standard deviation of ln r, log-normal sizes"
+    )
+    radii: tuple[float, ...] | None = parameter(
+        "m", default=None, above=0, help="a list of radii in equal parts; their ratios count"
+    )
     porosity: float | None = parameter(
         default=None,
         at_least=LEAST_POROSITY,
@@ -66,6 +77,11 @@ class Grains:
             problems.append(("count", "give either count or mean_radius"))
         if self.modulus is not None and self.normal_stiffness is not None:
             problems.append(("modulus", "give either modulus or normal_stiffness"))
+        for kind, name in (("log-normal", "radius_deviation"), ("list", "radii")):
+            if (self.sizes == kind) != bool(getattr(self, name)):
+                problems.append((name, f"sizes {kind} and {name} go together"))
+        if self.radii and max(self.radii) > 10.0 * min(self.radii):
+            problems.append(("radii", "the largest radius is more than ten times the smallest"))
         if self.packing == "random" and self.porosity is None:
             problems.append(("porosity", "a random packing needs a porosity, for instance 0.17"))
         if self.packing != "random" and self.porosity is not None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from model.mechanics.measures import porosity
-from model.mechanics.packing import PRESSURE, mean_square_radius, pack
+from model.mechanics.packing import PRESSURE, pack
+from model.mechanics.sizes import draw_radii, sizes_of
 from model.outcome import ModelError
 from model.region import Polygon, Rectangle, bounding_box, contains
 from tests.mechanics.rocks import REGIONS, net_forces, packed, wall_forces
@@ -111,7 +112,7 @@ def test_mean_radius_and_a_polygon_off_the_origin() -> None:
     box = bounding_box(shape)
     centre = [0.5 * (rock.box[0] + rock.box[1]), 0.5 * (rock.box[2] + rock.box[3])]
     np.testing.assert_allclose(centre, [0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])])
-    solid = np.pi * 0.01 * mean_square_radius(2.0) / (1.0 - 0.18)
+    solid = np.pi * 0.01 * sizes_of("uniform", 2.0, None, None).mean_square / (1.0 - 0.18)
     inside = np.count_nonzero(contains(shape, np.column_stack((rock.x, rock.y))))
     assert inside == pytest.approx(shape.area / solid, rel=0.08)
 
@@ -164,3 +165,34 @@ def test_lattices_are_exact(kind: str, cell: float, neighbours: int) -> None:
     assert np.hypot(rock.x, rock.y).min() > 1.1 * radius  # a pore at the origin
     walls = [rock.x.min(), rock.x.max(), rock.y.min(), rock.y.max()]
     np.testing.assert_allclose(rock.box - walls, radius * np.array([-1, 1, -1, 1]), rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        sizes_of("uniform", 3.0, None, None),
+        sizes_of("log-normal", 0.0, 0.3, None),
+        sizes_of("list", 0.0, None, (1.0, 1.0, 2.5)),
+    ],
+    ids=lambda law: law.kind,
+)
+def test_radii_follow_their_law(law) -> None:
+    drawn = draw_radii(law, 30_000, np.random.default_rng(1))
+    assert drawn.mean() == pytest.approx(1.0, abs=0.01)
+    assert np.mean(drawn**2) == pytest.approx(law.mean_square, rel=0.01)
+    assert drawn.max() / drawn.min() <= law.ratio * (1 + 1e-12)
+    if law.kind == "log-normal":
+        assert np.log(drawn).std() == pytest.approx(0.3, rel=0.06)  # its tails are cut
+
+
+@pytest.mark.parametrize(
+    "law",
+    [{"sizes": "log-normal", "radius_deviation": 0.2}, {"sizes": "list", "radii": (0.1, 0.2)}],
+)
+def test_other_sizes_are_packed(law) -> None:
+    rock = pack(
+        region=REGIONS["square"], count=400, mean_radius=None, packing="random",
+        radius_ratio=1.66, porosity=0.18, seed=1, **law,
+    )  # fmt: skip
+    assert float(rock.porosity) == pytest.approx(0.18, abs=0.005)
+    assert float(rock.unbalanced_ratio) <= 1e-3

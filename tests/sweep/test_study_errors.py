@@ -18,7 +18,7 @@ MISTAKES = [
     ("viscosity:", "viscocity:", "viscocity", "unknown key 'viscocity' in scene.fluid; did you mean 'viscosity'?"),
     ("scene:", "scena:", "scena", "unknown key 'scena' in the study; did you mean 'scene'?"),
     ("viscosity: 1 cP, ", "", "fluid", "scene.fluid lacks 'viscosity' (dynamic viscosity), for instance 1 cP"),
-    ("  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}\n", "", "scene:", "scene lacks 'fluid', a mapping with the keys viscosity, bulk_modulus"),
+    ("  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}\n", "", "scene:", "what is observed needs a fluid"),
     ("observe:", "observes:", "observes", "unknown key 'observes' in the study; did you mean 'observe'?"),
     ("study:", "studi:", "studi", "unknown key 'studi' in the study; did you mean 'study'?"),
     ("study: small\n", "", None, "the study lacks 'study'"),
