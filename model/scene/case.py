@@ -134,7 +134,7 @@ class Scene:
             if self.stress.method == "static":
                 what = "static solves bonded grains; add bonds, or take explicit"
                 problems.append(("stress.method", what))
-            if self.stress.components[2] != 0.0:
+            if abs(self.stress.components[2]) > 0.0:
                 what = "unbonded grains are loaded along the axes only; add bonds"
                 problems.append(("stress.angle", what))
         if self.bonds is not None and self.stress is None and self.test is None:
