@@ -139,7 +139,7 @@ def test_every_object_is_closed_but_the_named_ones(schema):
 
 def test_it_says_what_the_dataclasses_say(schema):
     scene = schema["properties"]["scene"]["properties"]
-    assert scene["fluid"]["properties"]["viscosity"]["description"] == (
+    assert scene["fluid"]["anyOf"][0]["properties"]["viscosity"]["description"] == (
         "dynamic viscosity [Pa s; for instance 1 cP]"
     )
     assert schema["properties"]["observe"]["items"]["enum"] == list(OBSERVABLES)
