@@ -61,7 +61,9 @@ class _FractureProperties:
         help="who owns the storage of the pores along the trace; "
         "default: matrix for an aperture, fracture for a permeability",
     )
-    joint: Joint | None = None
+    joint: Joint | None = parameter(
+        default=None, help="how its contacts slide where the scene names a stress; none: as grains"
+    )
 
     @property
     def acts_on_flow(self) -> bool:
