@@ -326,7 +326,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         run=flow,
-        version=2,
+        version=3,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,
