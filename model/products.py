@@ -179,6 +179,8 @@ class Responses(NamedTuple):
     initial_cumulative: Array  # (fields, l, k)
     initial_pressure: Array  # (fields, l, m)
     initial_volume: Array  # (fields,) m³ that lie on the wrong side of the mean, per unit
+    solver: Array  # () word: the solver that ran
+    solver_reason: Array  # () words: why it was taken
 
 
 class Permeability(NamedTuple):

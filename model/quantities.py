@@ -21,6 +21,7 @@ class Quantity(NamedTuple):
     transient: bool = False  # has a meaning in time only, not in a steady study
     constants: tuple[tuple[str, float], ...] = ()  # further attributes
     gaps: bool = False  # may be NaN in places where the case is good
+    text: bool = False  # words, not numbers
     comment: str = ""  # how it is found, where that is not plain
 
 
@@ -108,6 +109,8 @@ CASE: dict[str, Quantity] = {
         transient=True,
         gaps=True,
     ),
+    "solver": Quantity("", (), "flow solver that ran", text=True),
+    "solver_reason": Quantity("", (), "why that flow solver was taken", text=True),
     "stress_achieved": Quantity(
         "Pa", ("component",), "stress in the specimen, positive in compression"
     ),

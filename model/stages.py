@@ -326,7 +326,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         run=flow,
-        version=3,
+        version=2,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

@@ -369,6 +369,11 @@ class _Source:
             self.origins.setdefault("machine", set()).add(meta["machine"])
 
 
+def _blank(shape: tuple[int, ...]) -> np.ndarray:
+    """Empty words."""
+    return np.full(shape, "", dtype=object)
+
+
 @dataclass
 class _Writer:
     """Fills the file, tile by tile."""
@@ -401,12 +406,15 @@ class _Writer:
         """Take the next cases."""
         self.tile = tile
         self.status = np.zeros(len(tile.cases), dtype=np.int8)
-        self.message = np.full(len(tile.cases), "", dtype=object)
+        self.message = _blank((len(tile.cases),))
         self.blocks = {}
 
     def add(self, case: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the numbers of one case."""
         for name, array in arrays.items():
+            if CASE[name].text:
+                self._block(name, CASE[name])[case - self.tile.cases.start] = str(array)
+                continue
             target = self._block(name, CASE[name])[case - self.tile.cases.start, ...]
             where = self._where(name, int(self.labels.layout_of[case]))
             _place(target, np.asarray(array, dtype=float), where)
@@ -423,18 +431,18 @@ class _Writer:
         """Room for a variable in the cases of the tile."""
         if name not in self.blocks:
             sizes = self._variable(name, quantity).shape[len(self.axes) :]
-            self.blocks[name] = np.full((len(self.tile.cases), *sizes), np.nan)
+            shape = (len(self.tile.cases), *sizes)
+            self.blocks[name] = _blank(shape) if quantity.text else np.full(shape, np.nan)
         return self.blocks[name]
 
     def flush(self) -> None:
         """Write the cases that were taken."""
         at, shape = self.tile.at, self.tile.shape
-        for name, block in self.blocks.items():
-            self.file[name][(*at, ...)] = block.reshape(shape + block.shape[1:])
+        for name, block in {**self.blocks, "message": self.message}.items():
+            # netCDF4 takes a single string only at a bare ellipsis
+            place = (*at, ...) if shape or block.dtype != object else ...
+            self.file[name][place] = block.reshape(shape + block.shape[1:])
         self.file["status"][(*at, ...)] = self.status.reshape(shape)
-        message = self.message.reshape(shape)
-        # netCDF4 takes a single string only at a bare ellipsis
-        self.file["message"][(*at, ...) if shape else ...] = message
 
     def describe(self, plan: Plan, digest: str, origins: Mapping[str, set[str]]) -> None:
         """Write what the dataset is, where it comes from, and what made it."""
@@ -468,8 +476,9 @@ class _Writer:
         if name in self.file.variables:
             return self.file[name]
         dimensions = tuple(d for d in quantity.dimensions if self._dimension(d))
+        kind, fill = (TEXT, False) if quantity.text else ("f8", math.nan)
         variable = self.file.createVariable(
-            name, "f8", (*self.axes, *dimensions), fill_value=math.nan
+            name, kind, (*self.axes, *dimensions), fill_value=fill
         )
         variable.setncatts(quantity_attributes(quantity))
         beside = [name for axis in self.study.axes for name in _beside(coordinates(axis))]

@@ -227,7 +227,7 @@ def test_parts_that_contradict_themselves(make):
 
 
 def test_auto_is_decided_by_the_times():
-    assert good().method == "krylov"
+    assert good().method == "auto"
     assert good(times=()).method == "steady"
     assert good(solver=Solver(method="explicit")).method == "explicit"
 

@@ -8,6 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.flow.choice import (
+    Forecast,
+    explicit_forecast,
+    implicit_forecast,
+    krylov_forecast,
+    steady_forecast,
+)
 from model.flow.explicit import explicit, paper_step
 from model.flow.implicit import implicit
 from model.flow.initial import STARTS, at_rest, decaying, none_at_all, with_linear_fields
@@ -31,16 +38,73 @@ class FlowSolver(NamedTuple):
     """A way to answer a `Problem`, and what it can do."""
 
     run: Callable[[Problem], Answer]
+    forecast: Callable[[Problem], Forecast]  # its time at the wanted accuracy
     transient: bool  # gives pressure in time; else the steady state alone
     controls_error: bool  # `tolerance` bounds its error in time
+    linear_only: bool  # relies on conductances that stay as they are
+    schedules: bool  # its responses may be shifted and summed to any schedule of rates
+    pressure_wells: bool = True  # wells at a constant pressure
 
 
 SOLVERS: dict[str, FlowSolver] = {
-    "explicit": FlowSolver(explicit, transient=True, controls_error=False),
-    "implicit": FlowSolver(implicit, transient=True, controls_error=True),
-    "krylov": FlowSolver(krylov, transient=True, controls_error=True),
-    "steady": FlowSolver(steady, transient=False, controls_error=True),
+    "explicit": FlowSolver(
+        explicit,
+        explicit_forecast,
+        transient=True,
+        controls_error=False,
+        linear_only=False,
+        schedules=True,
+    ),
+    "implicit": FlowSolver(
+        implicit,
+        implicit_forecast,
+        transient=True,
+        controls_error=True,
+        linear_only=False,
+        schedules=True,
+    ),
+    "krylov": FlowSolver(
+        krylov,
+        krylov_forecast,
+        transient=True,
+        controls_error=True,
+        linear_only=True,
+        schedules=True,
+    ),
+    "steady": FlowSolver(
+        steady,
+        steady_forecast,
+        transient=False,
+        controls_error=True,
+        linear_only=False,
+        schedules=False,
+    ),
 }
+
+
+class Choice(NamedTuple):
+    """The solver that runs, why, and the problem as it is put to it."""
+
+    method: str
+    reason: str
+    problem: Problem
+
+
+def choose(method: str, problem: Problem) -> Choice:
+    """The solver named, or for `auto` the one whose predicted time is least."""
+    if method != "auto":
+        return Choice(method, "asked for", problem)
+    transient = bool(np.isfinite(problem.lag).all())
+    able = {name: s for name, s in SOLVERS.items() if s.transient == transient}
+    forecasts = {name: solver.forecast(problem) for name, solver in able.items()}
+    best = min(forecasts, key=lambda name: forecasts[name].seconds)
+    told = ", ".join(f"{name} {f.seconds:.2g} s" for name, f in forecasts.items())
+    size = f"{problem.system.n} unknowns, {len(problem.lag)} lags"
+    reason = f"least predicted time at a tolerance of {problem.tolerance:g} with {size}: {told}"
+    safety = forecasts[best].safety_factor
+    if safety is not None:
+        problem = problem._replace(safety_factor=safety, step=None)
+    return Choice(best, reason, problem)
 
 
 def lags(times: tuple[float, ...], wells: tuple[WellSite, ...]) -> np.ndarray:
@@ -103,7 +167,8 @@ def flow(
         along x and y of a start from a gradient), whether it acts.
     probes : points whose pressure is recorded.
     times : output times in s; empty for the steady state.
-    method, tolerance, safety_factor, step : of the solver, see `model.scene.Solver`.
+    method : a name in `SOLVERS`, or `auto` for the one of least predicted time.
+    tolerance, safety_factor, step : of the solver, see `model.scene.Solver`.
     record_map : whether the pressure of every domain is kept.
     check_flows : whether the tolerance holds for boundary flows too, which converge more slowly
         than the pressure of a well.
@@ -142,7 +207,8 @@ def flow(
         start = at_rest(problem)
         moves = np.arange(system.source_count) >= system.fixed_count
         problem = problem._replace(active=problem.active & moves)
-    answer = SOLVERS[method].run(problem)
+    choice = choose(method, problem)
+    answer = SOLVERS[choice.method].run(choice.problem)
     if initial == "gradient":
         answer, start = decaying(problem, answer)
     return Responses(
@@ -161,6 +227,8 @@ def flow(
         initial_cumulative=start.cumulative,
         initial_pressure=start.pressure,
         initial_volume=start.volume,
+        solver=np.asarray(choice.method),
+        solver_reason=np.asarray(choice.reason),
     )
 
 
@@ -173,8 +241,8 @@ def _check(
     initial: str,
 ) -> None:
     """Raise `ModelError` for what no solver can be asked, before time is spent."""
-    if method not in SOLVERS:
-        raise ModelError(f"there is no solver {method}, only {', '.join(SOLVERS)}")
+    if method != "auto" and method not in SOLVERS:
+        raise ModelError(f"there is no solver {method}, only auto, {', '.join(SOLVERS)}")
     if initial not in STARTS:
         raise ModelError(f"there is no start {initial}, only {', '.join(STARTS)}")
     if not 0.0 < bulk_modulus < math.inf:
@@ -186,6 +254,6 @@ def _check(
     given = np.asarray(times, dtype=float)
     if not (np.all(np.isfinite(given)) and np.all(np.diff(given, prepend=0.0) > 0.0)):
         raise ModelError("times are finite and increase, from above zero on")
-    if SOLVERS[method].transient != bool(times):
+    if method != "auto" and SOLVERS[method].transient != bool(times):
         what = "needs times" if SOLVERS[method].transient else "has no times"
         raise ModelError(f"solver.method {method} {what}")

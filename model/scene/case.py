@@ -74,10 +74,10 @@ class Scene:
 
     @property
     def method(self) -> str:
-        """The flow solver that runs: `solver.method`, with `auto` decided."""
-        if self.solver.method != "auto":
-            return self.solver.method
-        return "krylov" if self.times else "steady"
+        """The flow solver asked for: `solver.method`, steady for `auto` without times."""
+        if self.solver.method == "auto" and not self.times:
+            return "steady"
+        return self.solver.method
 
     @property
     def start(self) -> str:

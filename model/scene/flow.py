@@ -146,7 +146,7 @@ class Solver:
     method: str = parameter(
         default="auto",
         choices=("auto", "explicit", "implicit", "krylov", "steady"),
-        help="auto takes krylov for a transient, steady where no times are given",
+        help="auto takes the solver of least predicted time, steady where no times are given",
     )
     tolerance: float = parameter(
         default=1e-4,

@@ -1,0 +1,100 @@
+"""The predicted time of each solver at the wanted accuracy, and the cheapest that delivers it.
+
+Times are those of one core of a common machine, fitted to runs on random networks; what
+counts is their ratio. Each model takes the sizes that rule its solver: unknowns, sources,
+vectors or steps. A solver without error control qualifies only where a bound says that it
+delivers the tolerance.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from model.flow.explicit import SECONDS_PER_UPDATE, step_limit
+from model.flow.problem import Problem
+
+# Forward Euler's own-well error over its step and the first lag: see `explicit_step`.
+EULER = 0.324
+
+FIRST_STEPS = 3  # steps to the first lag that the bound, which is one for small steps, needs
+
+# Seconds: ordering, a factor and a solve of n unknowns, and what each vector or step costs
+# besides. The powers are those of planar graphs under a minimum-degree order.
+ORDER, FACTOR, SOLVE = (6e-7, 1.08), (2.5e-8, 1.25), (1.2e-8, 1.15)
+START = 1.5e-3
+VECTOR = 1.5e-4
+STAGE = 5e-5
+
+
+class Forecast(NamedTuple):
+    """What a solver is predicted to take, and the step of one that needs to be told."""
+
+    seconds: float  # infinite where it does not deliver the tolerance
+    safety_factor: float | None = None
+
+
+def _power(law: tuple[float, float], n: int) -> float:
+    return law[0] * n ** law[1]
+
+
+def _window(problem: Problem) -> tuple[float, float, float]:
+    """First and last lag above zero, s, and the decades between."""
+    lag = problem.lag[problem.lag > 0.0]
+    if not len(lag):
+        return 1.0, 1.0, 0.0
+    return float(lag[0]), float(lag[-1]), math.log10(lag[-1] / lag[0])
+
+
+def krylov_forecast(problem: Problem) -> Forecast:
+    """Two factors and the vectors that the tolerance takes, which grow slowly with the network."""
+    n, sources = problem.system.n, len(problem.active_sources)
+    digits = -math.log10(problem.tolerance)
+    breadth = min(_window(problem)[2] + 1.0, 0.5 * math.log10(n + 1.0) ** 1.5)
+    vectors = 3.0 + digits * (1.2 + 0.5 * breadth)
+    maps = len(problem.domain) * (vectors * 1e-8 + len(problem.lag) * vectors * 4e-10)
+    each = _power(SOLVE, n) + VECTOR + n * vectors * 4e-9 + len(problem.lag) * 1e-6
+    common = START + _power(ORDER, n) + 2.0 * _power(FACTOR, n)
+    return Forecast(common + sources * (vectors * each + maps))
+
+
+def implicit_forecast(problem: Problem) -> Forecast:
+    """Steps of a fourth-order method over the decades, and a factor for each octave."""
+    n, sources = problem.system.n, len(problem.active_sources)
+    decades = _window(problem)[2] + 2.0
+    steps = decades * 2.0 * problem.tolerance**-0.25 + 4.0
+    octaves = 3.3 * decades
+    maps = len(problem.domain) * len(problem.lag) * 4e-9
+    each = 5.0 * (_power(SOLVE, n) + STAGE + n * 3e-8)
+    common = START + _power(ORDER, n) + octaves * _power(FACTOR, n)
+    return Forecast(common + sources * (steps * each + maps))
+
+
+def explicit_forecast(problem: Problem) -> Forecast:
+    """Steps of forward Euler, short enough for the tolerance at the first lag.
+
+    With steps Δt ≪ t the response of a mode of decay rate λ is off by (Δt / 2) λt e^(−λt); over
+    the response (1 − e^(−λt)) / λ that is Δt / (2 t) · z² / (e^z − 1) ≤ 0.324 Δt / t with
+    z = λt. A well's own response is a sum of modes with positive weights, so that the bound
+    holds for it.
+    """
+    system = problem.system
+    if not system.pores:
+        return Forecast(math.inf)
+    first, last, _ = _window(problem)
+    limit = step_limit(system)
+    step = min(problem.tolerance / EULER, 1.0 / FIRST_STEPS) * first
+    safety = min(problem.safety_factor, 1.0, step / limit)
+    steps = last / (safety * limit) + len(problem.lag)
+    per_source = steps * (system.n * SECONDS_PER_UPDATE + 1e-7) + len(problem.lag) * (
+        2e-5 + system.n * 4e-9
+    )
+    start = START + system.n * 1e-6
+    return Forecast(start + len(problem.active_sources) * per_source, safety)
+
+
+def steady_forecast(problem: Problem) -> Forecast:
+    """One factor, one solve for each source."""
+    n = problem.system.n
+    each = len(problem.active_sources) * _power(SOLVE, n)
+    return Forecast(START + _power(ORDER, n) + _power(FACTOR, n) + each)

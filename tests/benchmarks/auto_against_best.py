@@ -1,0 +1,115 @@
+"""`auto` is never much slower than the best single choice that delivers the tolerance.
+
+Small and large networks, windows of one to eight decades that start early or late, loose and
+tight tolerances, one rate, a schedule, and a well at constant pressure. A single choice
+counts where its true error is within the tolerance; explicit runs at its default step.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.explicit import step_limit
+from model.flow.problem import Problem
+from model.flow.solvers import SOLVERS, choose, lags
+from model.observe import sites
+from model.scene import Well
+from tests.benchmarks.result import Result
+from tests.diffusion import seconds, well_problem
+
+SLOWER = 1.5
+DOMAINS = (300, 3_000, 30_000)
+WINDOWS = ((3.0, 1.0), (100.0, 1.0), (100.0, 3.0), (3.0, 6.0), (1e4, 4.0))  # steps, decades
+TOLERANCES = (1e-2, 1e-4, 1e-7)
+KINDS = ("rate", "schedule", "pressure")
+TIMES = 31
+PATIENCE = 2.0  # s: a solver predicted to take longer than this and ten times the best is left out
+
+
+class Row(NamedTuple):
+    """One problem: what each solver took, and what auto did."""
+
+    name: str
+    took: dict[str, float]  # s, of those that delivered
+    chosen: str
+    auto: float  # s
+    error: float  # of auto, over the tolerance
+
+
+def case(plain: Problem, kind: str, first: float, decades: float, tolerance: float) -> Problem:
+    """A problem whose times start after `first` explicit steps."""
+    times = first * step_limit(plain.system) * np.logspace(0.0, decades, TIMES)
+    if kind == "schedule":
+        shut_in = Well(
+            name="w", at=(0.0, 0.0), radius=1.0, schedule=((0.0, 1.0), (times[TIMES // 2], 0.0))
+        )
+        times = lags(tuple(times), sites((shut_in,)))
+    acts = np.array([kind == "pressure", kind != "pressure"])
+    return plain._replace(lag=times, active=acts, tolerance=tolerance, check_flows=acts[0])
+
+
+def relative_error(problem: Problem, found: np.ndarray, exact: np.ndarray) -> float:
+    """Error of what is recorded: the well's pressure by itself, a flow over its largest."""
+    lag = problem.lag > 0
+    if problem.active[1]:
+        return float(np.abs(found[1, lag, 0] / exact[1, lag, 0] - 1.0).max())
+    flow = exact[0, lag, 1]
+    return float(np.abs(found[0, lag, 1] - flow).max() / np.abs(flow).max())
+
+
+def measure(name: str, problem: Problem) -> Row:
+    """Run every solver that may be the best, and auto."""
+    exact = SOLVERS["krylov"].run(problem._replace(tolerance=1e-10)).output
+    took = {}
+    forecasts = {m: s.forecast(problem).seconds for m, s in SOLVERS.items() if s.transient}
+    choice = choose("auto", problem)
+    chosen = SOLVERS[choice.method].run(choice.problem).output
+    error = relative_error(problem, chosen, exact) / problem.tolerance
+    for method, forecast in forecasts.items():
+        if forecast > max(PATIENCE, 10.0 * min(forecasts.values())):
+            continue
+        run = SOLVERS[method].run
+        if relative_error(problem, run(problem).output, exact) <= problem.tolerance:
+            took[method] = seconds(lambda run=run: run(problem), 3)
+
+    def auto() -> object:
+        chosen = choose("auto", problem)
+        return SOLVERS[chosen.method].run(chosen.problem)
+
+    return Row(name, took, choice.method, seconds(auto, 3), error)
+
+
+def rows() -> list[Row]:
+    """All problems of the set."""
+    found = []
+    for domains in DOMAINS:
+        plain = well_problem(domains)
+        for (first, decades), tolerance, kind in itertools.product(WINDOWS, TOLERANCES, KINDS):
+            name = f"{domains} domains, {kind}, from {first:g} steps {decades:g} decades"
+            problem = case(plain, kind, first, decades, tolerance)
+            found.append(measure(f"{name}, {tolerance:.0e}", problem))
+    return found
+
+
+def run() -> Result:
+    """Largest ratio of auto's time to that of the best single choice."""
+    found = rows()
+    ratios = [row.auto / min(row.took.values(), default=np.inf) for row in found]
+    errors = [row.error for row in found]
+    lines = [
+        f"{row.name}: auto takes {row.chosen}, {1e3 * row.auto:.1f} ms, error {row.error:.2g} of "
+        f"the tolerance; " + ", ".join(f"{m} {1e3 * s:.1f} ms" for m, s in row.took.items())
+        for row in found
+    ]
+    chosen = {m: sum(row.chosen == m for row in found) for m in SOLVERS}
+    lines.append(f"taken: {', '.join(f'{m} {k} times' for m, k in chosen.items() if k)}")
+    return Result(
+        f"{max(ratios):.2f} times the best at most over {len(found)} problems, "
+        f"error at most {max(errors):.2g} of the tolerance",
+        f"≤ {SLOWER:g} times",
+        bool(max(ratios) <= SLOWER and max(errors) <= 3.0),
+        "\n".join(lines),
+    )
