@@ -115,7 +115,7 @@ def test_products_are_named_arrays(stage):
     assert isinstance(product, stage.product)
     for value in (product if isinstance(product, dict) else product._asdict()).values():
         assert isinstance(value, np.ndarray)
-        assert value.dtype.kind in "fib"
+        assert value.dtype.kind in "fibU"
 
 
 READS = {

@@ -46,12 +46,16 @@ def _window(problem: Problem) -> tuple[float, float, float]:
     return float(lag[0]), float(lag[-1]), math.log10(lag[-1] / lag[0])
 
 
+def _breadth(problem: Problem) -> float:
+    """Decades of time in which the pressure moves: of the window, or of the network if fewer."""
+    return min(_window(problem)[2] + 1.0, 0.5 * math.log10(problem.system.n + 1.0) ** 1.5)
+
+
 def krylov_forecast(problem: Problem) -> Forecast:
     """Two factors and the vectors that the tolerance takes, which grow slowly with the network."""
     n, sources = problem.system.n, len(problem.active_sources)
     digits = -math.log10(problem.tolerance)
-    breadth = min(_window(problem)[2] + 1.0, 0.5 * math.log10(n + 1.0) ** 1.5)
-    vectors = 3.0 + digits * (1.2 + 0.5 * breadth)
+    vectors = 3.0 + digits * (1.2 + 0.5 * _breadth(problem))
     maps = len(problem.domain) * (vectors * 1e-8 + len(problem.lag) * vectors * 4e-10)
     each = _power(SOLVE, n) + VECTOR + n * vectors * 4e-9 + len(problem.lag) * 1e-6
     common = START + _power(ORDER, n) + 2.0 * _power(FACTOR, n)
@@ -62,11 +66,11 @@ def implicit_forecast(problem: Problem) -> Forecast:
     """Steps of a fourth-order method over the decades, and a factor for each octave."""
     n, sources = problem.system.n, len(problem.active_sources)
     decades = _window(problem)[2] + 2.0
-    steps = decades * 2.0 * problem.tolerance**-0.25 + 4.0
-    octaves = 3.3 * decades
+    steps = 2.0 * decades + 1.1 * _breadth(problem) * problem.tolerance**-0.25
+    factors = min(3.3 * decades, steps)
     maps = len(problem.domain) * len(problem.lag) * 4e-9
     each = 5.0 * (_power(SOLVE, n) + STAGE + n * 3e-8)
-    common = START + _power(ORDER, n) + octaves * _power(FACTOR, n)
+    common = START + _power(ORDER, n) + factors * _power(FACTOR, n)
     return Forecast(common + sources * (steps * each + maps))
 
 

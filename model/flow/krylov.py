@@ -4,7 +4,7 @@ The pores obey C dp/dt = −G p + f with p(0) = 0. On a `Subspace` of shift-and-
 the Galerkin projection is solved exactly in time through its eigenvalues (Güttel 2013,
 GAMM-Mitt. 36). A factor costs as much as many solves, so that two poles, each used again
 and again, serve most windows of time: one at its slow end, whose images are nearly steady
-states, and one near its fast end. Another is added where the error falls too slowly.
+states, and one near its fast end.
 
 The error is estimated from how the recorded outputs move while the space grows. The change
 over a few vectors is the error that the space had before them; the same reduction once more
@@ -29,7 +29,7 @@ from model.outcome import ModelError
 MOST_VECTORS = 300
 
 # The reduction of the error is not even; the estimate is taken this much larger.
-CAUTION = 3.0
+CAUTION = 3.5
 
 # Vectors over which changes are taken: the estimate is the worst of them.
 WIDTHS = (2, 3)
@@ -40,8 +40,9 @@ ABOVE, SLOPE = 3.0, 0.25
 # Poles are powers of this, that sources may share their factors.
 LADDER = 4.0
 
-# A further pole is made where this part of the vectors still needed would cost more.
-GAIN = 0.25
+# An estimate is at least this part of the one before: the error falls by stairs at times, and
+# on a stair little changes.
+FALL = 0.03
 
 # Round-off that the projection may have, of the tolerance; what is found is a tenth of it.
 NOISE_SHARE = 0.5
@@ -103,12 +104,6 @@ class Factors:
         """Number of factors made so far."""
         return len(self._made)
 
-    @property
-    def price(self) -> float:
-        """Solves that cost as much as a factor."""
-        below = np.diff(self.symbolic.start).astype(float)
-        return float(np.sum((below + 1) ** 2) / (8.0 * np.sum(below + 1)))
-
     def near(self, shift: float) -> tuple[float, Factor]:
         """The shift of the ladder nearest to `shift` > 0, and its factor."""
         rung = round(math.log(shift) / math.log(LADDER))
@@ -140,15 +135,6 @@ class Poles:
             self._add(ABOVE * fast * (slow / fast) ** SLOPE)
         return self._known[self.space.solves % len(self)]
 
-    def refine(self) -> None:
-        """Add a pole in the middle of the widest gap of the window."""
-        slow, fast = self._window()
-        ends = np.log([slow, ABOVE * fast])
-        known = np.sort(np.clip(np.log([pole for pole, _ in self._known]), *ends))
-        known = np.append(known, ends[1] + 0.5 * (ends[1] - known[-1]))
-        widest = int(np.argmax(np.diff(known)))
-        self._add(math.exp(min(0.5 * (known[widest] + known[widest + 1]), ends[1])))
-
     def _window(self) -> tuple[float, float]:
         """Slow and fast end of the rates that the space and the times have in common, 1/s."""
         slow = max(1.0 / self.last, self.space.slowest())
@@ -174,22 +160,19 @@ class Growth:
         """Grow the space to the tolerance; the estimated error. Raises `ModelError`."""
         space, tolerance = self.space, self.problem.tolerance
         shortest = 1 + min(WIDTHS)
-        wait, settled = 0, 0
+        wait, before = 0, 0.0
         while space.size < MOST_VECTORS:
             if not space.extend(*poles.next()):
                 return 0.0  # the space holds all that the source can reach
             wait -= 1
             if space.size < shortest or wait > 0:
                 continue
-            error, rate, cheap = self._estimate()
+            found, rate, cheap = self._estimate()
+            error, before = max(found, FALL * before), found
             if error <= tolerance:
                 return error
             further = math.log(tolerance / error) / math.log(rate)
             wait = 1 if cheap else min(MOST_WAIT, math.ceil(STRIDE * further))
-            settled += 1
-            if settled > 2 * len(poles) and GAIN * further > poles.factors.price:
-                poles.refine()
-                settled = 0
         raise ModelError(
             f"krylov reached a relative error of {error:.2g} in {MOST_VECTORS} vectors, not "
             f"{tolerance:g}; raise solver.tolerance, or record fewer decades of time"

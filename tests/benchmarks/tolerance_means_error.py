@@ -23,16 +23,22 @@ CONTRASTS = (1.0, 1e3, 1e6, 1e9)
 TOLERANCES = tuple(10.0**-k for k in range(2, 9))
 LEAST, MOST, SHARE, NEVER = 0.01, 1.0, 0.95, 3.0
 
+RATES = (-1.0, -0.5, 0.0, 0.5, 1.0)
+
 RateChanges = tuple[tuple[float, float], ...]
 
 
 def schedule(rng: np.random.Generator, times: np.ndarray, count: int) -> RateChanges:
-    """A rate from the start and `count` changes at random output times; every other shuts in."""
+    """A rate from the start and `count` changes at random output times, some of them shut-ins.
+
+    Each changes the rate by half of the largest rate at least: what a small change adds to
+    the large one before it is a difference, whose relative error no solver is asked for.
+    """
     at = np.sort(rng.choice(times[:-5], count, replace=False))
-    rates = np.where(np.arange(count + 1) % 2, 0.0, rng.uniform(0.2, 1.0, count + 1))
-    if rng.random() < 0.5:  # a step to another rate instead of each shut-in
-        rates = rng.uniform(-1.0, 1.0, count + 1)
-    return tuple((float(t), float(q)) for t, q in zip((0.0, *at), rates, strict=True))
+    rates = [float(rng.choice([-1.0, 0.5, 1.0]))]
+    for _ in at:
+        rates.append(float(rng.choice([q for q in RATES if q != rates[-1]])))
+    return tuple((float(t), q) for t, q in zip((0.0, *at), rates, strict=True))
 
 
 def case(rng: np.random.Generator, seed: int) -> tuple[Problem, np.ndarray, RateChanges]:
