@@ -317,7 +317,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         run=flow,
-        version=3,
+        version=4,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,

@@ -477,9 +477,7 @@ class _Writer:
             return self.file[name]
         dimensions = tuple(d for d in quantity.dimensions if self._dimension(d))
         kind, fill = (TEXT, False) if quantity.text else ("f8", math.nan)
-        variable = self.file.createVariable(
-            name, kind, (*self.axes, *dimensions), fill_value=fill
-        )
+        variable = self.file.createVariable(name, kind, (*self.axes, *dimensions), fill_value=fill)
         variable.setncatts(quantity_attributes(quantity))
         beside = [name for axis in self.study.axes for name in _beside(coordinates(axis))]
         beside += ["probe_x", "probe_y"] if "probe" in dimensions else []

@@ -236,11 +236,12 @@ class Growth:
         is_flow = np.zeros(output.shape[1], dtype=bool)
         is_flow[records.well_rows : records.well_rows + records.flow_rows] = True
         size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
-        own_well = self.source - problem.system.fixed_count
-        for kind, is_source in ((is_flow, own_well >= 0), (~is_flow, own_well < 0)):
-            largest = np.max(size[:, kind], initial=1.0 if is_source else 0.0)
+        own_well = problem.own_well(self.source)
+        own_pressure, own_flow = problem.own_size(self.source)
+        for kind, own in ((is_flow, own_flow), (~is_flow, own_pressure)):
+            largest = np.max(size[:, kind], initial=own)
             size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
-        if own_well >= 0:
+        if own_well is not None:
             size[:, own_well] = np.abs(output[:, own_well])
         size[:, is_flow & (not problem.check_flows)] = 0.0
         return size
