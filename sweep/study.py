@@ -250,7 +250,10 @@ def _promised(
             return {}
         if isinstance(node, Scalar):  # `expect: failed` is short for its status
             node = yaml_source.Mapping(node.place, {"status": node}, {"status": node.place})
-        return EXPECT.read(node, path, reading)
+        given = EXPECT.read(node, path, reading)
+        if isinstance(node, yaml_source.Mapping):  # `time_error: null` takes a bound back
+            given |= {key: None for key in node.entries if key in EXPECT.members} | given
+        return given
 
     common = read(node, "expect")
     points = variants.points if variants is not None else ()

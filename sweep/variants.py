@@ -12,13 +12,13 @@ import re
 from typing import Any, NamedTuple
 
 from sweep.axes import Axis, Draft, Located
-from sweep.blocks import NAME
 from sweep.grammar import BESIDE_SCENE, NoParameter, Reading
 from sweep.scene_grammar import SCENE
 from sweep.smoke import overlaid
 from sweep.yaml_source import Mapping, Node, Place, Scalar, Sequence
 
 KEYS = ("variants", "values")
+NAME = re.compile(r"\w[\w.-]*")
 FIXED = tuple(key for key in BESIDE_SCENE if key not in ("observe", "solver", "expect"))
 
 
@@ -125,8 +125,8 @@ def _chosen(
                 reading.report(item.place, message)
         names = {item.text: item.place for item in chosen}
     for key in names:
-        if not re.fullmatch(NAME, key):
-            message = f"'{key}' is no name; use letters, digits, '-' and '_'"
+        if not NAME.fullmatch(key):
+            message = f"'{key}' is no name; use letters, digits, '-', '_' and '.'"
             reading.report(variants.keys[key], message)
     return [(key, at, variants.entries[key]) for key, at in names.items()]
 

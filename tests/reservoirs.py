@@ -44,6 +44,7 @@ class Reservoir(NamedTuple):
         method: str = "krylov",
         tolerance: float = 1e-9,
         safety_factor: float = 0.9,
+        step: str = "corrected",
         probes: tuple[Probe, ...] = (),
         record_map: bool = True,
     ) -> Responses:
@@ -61,6 +62,7 @@ class Reservoir(NamedTuple):
             method=method,
             tolerance=tolerance,
             safety_factor=safety_factor,
+            step=step,
             record_map=record_map,
         )
 

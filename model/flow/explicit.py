@@ -104,15 +104,15 @@ def explicit(problem: Problem) -> Answer:
     if updates > MOST_UPDATES:
         raise ModelError(
             f"explicit would take {needed.sum():.3g} steps of {limit:.3g} s over {system.n} pores, "
-            f"about {updates * SECONDS_PER_UPDATE / 3600:.3g} h; use solver.method krylov"
+            f"about {_in_words(updates * SECONDS_PER_UPDATE)}; use solver.method krylov"
         )
     steps = np.maximum(needed, intervals > 0.0).astype(np.int64)
-    stencil = _stencil(system, wells)
+    rows = stencil(system, wells)
     answer = empty_answer(problem)
     residual = 0.0
     for k in problem.active_sources:
         rhs = system.source(k)
-        driven = _driven(stencil, rhs, system)
+        driven = _driven(rows, rhs, system)
         p = np.zeros(system.n)
         p[system.pores :] = wells.direct(rhs)
         q = p.copy()
@@ -121,8 +121,8 @@ def explicit(problem: Problem) -> Answer:
         for m, (interval, count) in enumerate(zip(intervals, steps, strict=True)):
             if count:
                 dt = interval / count
-                p, q = _march(p, q, integral, int(count), dt, stencil, driven, rhs[system.pores :])
-            maps[m, stencil.order] = p
+                p, q = _march(p, q, integral, int(count), dt, rows, driven, rhs[system.pores :])
+            maps[m, rows.order] = p
             answer.cumulative[k, m] = _volumes(problem, k, maps[m], integral, lags[m])
         answer.output[k] = (problem.records.rows @ maps.T).T + problem.records.direct[k]
         answer.pressure[k] = fill_map(problem, k, maps)
@@ -131,6 +131,14 @@ def explicit(problem: Problem) -> Answer:
         rate[pores] = _net_flow(system, rhs, maps[-1])[pores] / system.storage[pores]
         residual = max(residual, relative_residual(system, rhs, rate, maps[-1]))
     return answer._replace(time_error=math.nan, residual=residual, work=int(steps.sum()))
+
+
+def _in_words(seconds: float) -> str:
+    """A duration that a person can judge."""
+    for unit, size in (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3_600.0)):
+        if seconds >= 2.0 * size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds / 60.0:.2g} minutes"
 
 
 def _check_stable(step: float, decay: float) -> None:
@@ -182,7 +190,7 @@ class Stencil(NamedTuple):
     inverse: np.ndarray  # (w, w) K_ww⁻¹
 
 
-def _stencil(system: System, wells: Algebraic) -> Stencil:
+def stencil(system: System, wells: Algebraic) -> Stencil:
     """Renumber the pores so that neighbours lie close together, and split their rows."""
     n, pores = system.n, system.pores
     i = np.concatenate([system.edge_i, system.edge_j])
@@ -232,9 +240,9 @@ class Driven(NamedTuple):
     source: np.ndarray  # (f,) Pa/s
 
 
-def _driven(stencil: Stencil, rhs: np.ndarray, system: System) -> Driven:
+def _driven(rows: Stencil, rhs: np.ndarray, system: System) -> Driven:
     """Pick the pores beside a fixed pressure and, for an initial field, all that it moves."""
-    order = stencil.order[: system.pores]
+    order = rows.order[: system.pores]
     place = np.flatnonzero((system.excess[order] > 0.0) | (rhs[order] != 0.0))
     unknown = order[place]
     storage = system.storage[unknown]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from model.flow import explicit as explicit_module
-from model.flow.explicit import step_limit
+from model.flow.explicit import paper_step, step_limit
 from model.flow.solvers import SOLVERS, lags
 from model.network.apertures import transmissivity
 from model.observe import sites
@@ -72,6 +72,29 @@ def test_explicit_beyond_that_is_an_outcome_never_numbers(beyond, steps):
     times = (steps * factor * LIMIT * (1 - 1e-9),)
     with pytest.raises(ModelError, match="safety_factor"):
         ROCK.respond((), PAIR, times, method="explicit", safety_factor=factor)
+
+
+def test_the_papers_step_is_the_corrected_one_where_apertures_and_grains_are_equal():
+    """Eq. 14 with its N, R and w as printed, on a lattice; only pipes cut by the rim differ."""
+    domains = np.flatnonzero(ROCK.network.inside)
+    found = paper_step(ROCK.network, ROCK.apertures, 1e9, domains)
+    volume = ROCK.network.volume[domains[0]]
+    written = 24 * 1e-3 * R * volume / (4 * 1e9 * 1e-5**3)
+    assert found == pytest.approx(written, rel=1e-9)
+    sealed = ROCK.assembled(sites((WELL,)), ())
+    assert found == pytest.approx(step_limit(sealed), rel=0.5)
+
+
+def test_the_papers_step_is_no_bound_in_a_fracture():
+    """One mean aperture for a pore with narrow and wide pipes: it blows up, and that is told."""
+    fracture = Trace(name="f", aperture=1e-3, start=(-0.8, -0.4), end=(0.8, 0.5))
+    rock = reservoir(SCATTER._replace(radius=0.5 * SCATTER.radius), BOX, 1e-5, (fracture,))
+    domains = np.flatnonzero(rock.network.inside)
+    limit = step_limit(rock.assembled((), PAIR))
+    assert paper_step(rock.network, rock.apertures, 1e9, domains) > 2.0 * limit
+    with pytest.raises(ModelError, match=r"blows up.*fold a step"):
+        rock.respond((), PAIR, (1e3 * limit,), method="explicit", step="paper")
+    rock.respond((), PAIR, (1e3 * limit,), method="explicit")
 
 
 @pytest.mark.parametrize("method", ["explicit"])

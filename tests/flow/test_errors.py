@@ -1,0 +1,59 @@
+"""The measured error in time."""
+
+import numpy as np
+import pytest
+
+from model.flow.errors import REFERENCE_TOLERANCE, time_error
+from model.flow.explicit import step_limit
+from model.region import Rectangle
+from model.scene import Well
+from tests.reservoirs import exact_response, reservoir
+from tests.rocks import square_lattice
+
+ROCK = reservoir(square_lattice(1.3, 0.05, (0.05, 0.05)), Rectangle(2.0, 1.4))
+WELL = (Well(name="w", at=(0.1, 0.1), radius=0.12, rate=1.0),)
+SYSTEM = ROCK.assembled((), ("left",))
+TIMES = tuple(np.geomspace(3, 3e4, 9) * step_limit(SYSTEM))
+EXACT = ROCK.respond(WELL, ("left",), TIMES, tolerance=REFERENCE_TOLERANCE)
+
+
+def test_the_reference_is_the_exact_solution():
+    """A dense eigen-solution in its place would find the same errors, to its own round-off."""
+    system = ROCK.assembled((), ("left",))
+    alone = ROCK.respond((), ("left",), TIMES, tolerance=REFERENCE_TOLERANCE)
+    dense = exact_response(system, 0, alone.lag)
+    node = system.node_of_domain[alone.domain]
+    np.testing.assert_allclose(alone.pressure[0], dense[:, node], atol=1e-10)
+
+
+def test_nothing_differs_from_itself():
+    assert time_error(EXACT, EXACT, 1, flows=True) == 0.0
+
+
+@pytest.mark.parametrize("size", [1e-2, 1e-7])
+def test_an_error_of_the_well_is_relative_to_its_own_pressure_change(size):
+    output = EXACT.output.copy()
+    output[1, 0, 0] *= 1 + size  # the first time, at which the change is smallest
+    found = EXACT._replace(output=output)
+    assert time_error(found, EXACT, 1, flows=True) == pytest.approx(size, rel=1e-6)
+
+
+def test_flows_count_where_they_are_asked_for():
+    output = EXACT.output.copy()
+    output[0, -1, 1] += 0.1 * np.abs(output[0, :, 1]).max()
+    found = EXACT._replace(output=output)
+    assert time_error(found, EXACT, 1, flows=False) == 0.0
+    assert time_error(found, EXACT, 1, flows=True) == pytest.approx(0.1)
+
+
+def test_what_is_no_number_is_no_small_error():
+    pressure = EXACT.pressure.copy()
+    pressure[1, -1, 3] = np.nan
+    assert time_error(EXACT._replace(pressure=pressure), EXACT, 1, flows=False) == np.inf
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
+def test_solvers_keep_their_tolerance_by_it(tolerance):
+    for method in ("krylov", "implicit"):
+        found = ROCK.respond(WELL, ("left",), TIMES, method=method, tolerance=tolerance)
+        assert time_error(found, EXACT, 1, flows=True) <= 3 * tolerance
