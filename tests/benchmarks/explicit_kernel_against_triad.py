@@ -6,7 +6,7 @@ import numba
 import numpy as np
 
 from model.flow.algebraic import algebraic
-from model.flow.explicit import step_limit, stencil
+from model.flow.explicit import stencil, step_limit
 from model.flow.problem import Problem
 from model.flow.solvers import SOLVERS
 from tests.benchmarks.result import Result
@@ -61,7 +61,7 @@ def run() -> Result:
         step, stream = step_seconds(problem), triad_seconds(size)
         cost[domains], part = step / pores, stream / step
         lines.append(
-            f"{pores} domains: {1e9 * step / pores:.2f} ns a domain and step, {size / pores:.0f} B; "
+            f"{pores} domains: {1e9 * step / pores:.2f} ns a domain-step, {size / pores:.0f} B; "
             f"{size / step / 1e9:.1f} GB/s of the triad's {size / stream / 1e9:.1f}"
         )
     growth = cost[LARGE] / cost[SMALL]
