@@ -143,9 +143,16 @@ def observe(
                 for key in needs:
                     found.pop(key, None)
     if responses is not None and reference is not None:
-        fixed = len(told.side_pressures) + sum(w.pressure is not None for w in told.wells)
-        flows = "boundary_flow" in wanted or any(w.pressure is not None for w in told.wells)
-        found["time_error"] = np.asarray(time_error(responses, reference, fixed, flows))
+        held = sum(well.pressure is not None for well in told.wells)
+        found["time_error"] = np.asarray(
+            time_error(
+                responses,
+                reference,
+                fixed=len(told.side_pressures) + held,
+                wells=len(told.wells) - held,
+                flows="boundary_flow" in wanted or held > 0,
+            )
+        )
     return {name: np.asarray(value) for name, value in found.items()}
 
 

@@ -13,7 +13,7 @@ REFERENCE_METHOD, REFERENCE_TOLERANCE = "krylov", 1e-10
 FAINT = 0.1
 
 
-def time_error(found: Responses, exact: Responses, fixed: int, flows: bool) -> float:
+def time_error(found: Responses, exact: Responses, *, fixed: int, wells: int, flows: bool) -> float:
     """Largest relative error of the unit step responses that were recorded.
 
     A well that is the source is compared at every lag with its own pressure change there; any
@@ -23,21 +23,22 @@ def time_error(found: Responses, exact: Responses, fixed: int, flows: bool) -> f
     Parameters
     ----------
     found, exact : responses of the same sources at the same lags.
-    fixed : number of fixed pressures, which come before the wells among the sources.
+    fixed, wells : number of fixed pressures and of wells at a rate, in this order the first
+        sources; what comes after them moves every pore at once.
     flows : whether inflows at fixed pressures count.
     """
     later = exact.lag > 0.0
-    wells = exact.output.shape[0] - fixed
     is_flow = np.zeros(exact.output.shape[2], dtype=bool)
     is_flow[wells : wells + fixed] = True
     worst = 0.0
     for source in range(exact.output.shape[0]):
         right, given = exact.output[source, later], found.output[source, later]
         size = np.broadcast_to(np.abs(right).max(axis=0, initial=0.0), right.shape).copy()
-        for kind, own_is_one in ((is_flow, source >= fixed), (~is_flow, source < fixed)):
+        is_well = fixed <= source < fixed + wells
+        for kind, own_is_one in ((is_flow, is_well), (~is_flow, source < fixed)):
             largest = np.max(size[:, kind], initial=float(own_is_one))
             size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
-        if source >= fixed:
+        if is_well:
             size[:, source - fixed] = np.abs(right[:, source - fixed])
         counts = size > 0.0
         counts &= ~is_flow | flows

@@ -27,7 +27,7 @@ def test_the_reference_is_the_exact_solution():
 
 
 def test_nothing_differs_from_itself():
-    assert time_error(EXACT, EXACT, 1, flows=True) == 0.0
+    assert time_error(EXACT, EXACT, fixed=1, wells=1, flows=True) == 0.0
 
 
 @pytest.mark.parametrize("size", [1e-2, 1e-7])
@@ -35,25 +35,28 @@ def test_an_error_of_the_well_is_relative_to_its_own_pressure_change(size):
     output = EXACT.output.copy()
     output[1, 0, 0] *= 1 + size  # the first time, at which the change is smallest
     found = EXACT._replace(output=output)
-    assert time_error(found, EXACT, 1, flows=True) == pytest.approx(size, rel=1e-6)
+    assert time_error(found, EXACT, fixed=1, wells=1, flows=True) == pytest.approx(size, rel=1e-6)
 
 
 def test_flows_count_where_they_are_asked_for():
     output = EXACT.output.copy()
     output[0, -1, 1] += 0.1 * np.abs(output[0, :, 1]).max()
     found = EXACT._replace(output=output)
-    assert time_error(found, EXACT, 1, flows=False) == 0.0
-    assert time_error(found, EXACT, 1, flows=True) == pytest.approx(0.1)
+    assert time_error(found, EXACT, fixed=1, wells=1, flows=False) == 0.0
+    assert time_error(found, EXACT, fixed=1, wells=1, flows=True) == pytest.approx(0.1)
 
 
 def test_what_is_no_number_is_no_small_error():
     pressure = EXACT.pressure.copy()
     pressure[1, -1, 3] = np.nan
-    assert time_error(EXACT._replace(pressure=pressure), EXACT, 1, flows=False) == np.inf
+    assert (
+        time_error(EXACT._replace(pressure=pressure), EXACT, fixed=1, wells=1, flows=False)
+        == np.inf
+    )
 
 
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_solvers_keep_their_tolerance_by_it(tolerance):
     for method in ("krylov", "implicit"):
         found = ROCK.respond(WELL, ("left",), TIMES, method=method, tolerance=tolerance)
-        assert time_error(found, EXACT, 1, flows=True) <= 3 * tolerance
+        assert time_error(found, EXACT, fixed=1, wells=1, flows=True) <= 3 * tolerance
