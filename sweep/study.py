@@ -35,7 +35,7 @@ from sweep.scene_grammar import SCENE
 from sweep.scenes import SceneBuilder
 from sweep.smoke import overlaid
 from sweep.units import describe, format_quantity
-from sweep.variants import VariantAxis, check_found_everywhere, read_variants, without_variants
+from sweep.variants import VariantAxis, found_everywhere, read_variants, without_variants
 from sweep.yaml_source import Node, Place, Problem, Scalar, Source, StudyError, read_source
 
 __all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyError", "load_study"]
@@ -157,7 +157,8 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
         reading.report(keys["vary"], message)
     axes = read_axes(drafts, values, reading, ends_only=count > MAX_CASES)
     if variants is not None:
-        check_found_everywhere(drafts, variants, scenes, reading)
+        if not found_everywhere(drafts, variants, scenes, reading):
+            return None, reading
         axes.insert(variants.position, variants.located(scenes))
     axes = labelled(axes)
     promised = _promised(entries.get("expect"), variants, reading)

@@ -86,10 +86,11 @@ def read_variants(root: Mapping, reading: Reading) -> VariantAxis | None:
     return VariantAxis(name, list(vary.entries).index(name), tuple(points))
 
 
-def check_found_everywhere(
+def found_everywhere(
     drafts: list[Draft], axis: VariantAxis, values: list[dict[str, Any]], reading: Reading
-) -> None:
-    """Report what another axis varies where a variant has no such parameter."""
+) -> bool:
+    """Whether every variant has what the other axes vary; reports what is missing."""
+    before = len(reading.problems)
     for draft in drafts:
         for path, place in zip(draft.paths, draft.path_places, strict=True):
             for point, scene in zip(axis.points[1:], values[1:], strict=True):
@@ -98,6 +99,7 @@ def check_found_everywhere(
                 except (NoParameter, TypeError, KeyError):
                     message = f"axis '{draft.name}': '{path}' names no parameter of '{point.name}'"
                     reading.report(place, message)
+    return len(reading.problems) == before
 
 
 def _is_one(node: Node) -> bool:
