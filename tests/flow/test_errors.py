@@ -23,7 +23,7 @@ def test_the_reference_is_the_exact_solution():
     alone = ROCK.respond((), ("left",), TIMES, tolerance=REFERENCE_TOLERANCE)
     dense = exact_response(system, 0, alone.lag)
     node = system.node_of_domain[alone.domain]
-    np.testing.assert_allclose(alone.pressure[0], dense[:, node], atol=1e-10)
+    np.testing.assert_allclose(alone.pressure[0], dense[:, node], atol=3 * REFERENCE_TOLERANCE)
 
 
 def test_nothing_differs_from_itself():
@@ -33,14 +33,14 @@ def test_nothing_differs_from_itself():
 @pytest.mark.parametrize("size", [1e-2, 1e-7])
 def test_an_error_of_the_well_is_relative_to_its_own_pressure_change(size):
     output = EXACT.output.copy()
-    output[1, 0, 0] *= 1 + size  # the first time, at which the change is smallest
+    output[1, 1, 0] *= 1 + size  # the first time, at which the change is smallest
     found = EXACT._replace(output=output)
     assert time_error(found, EXACT, fixed=1, wells=1, flows=True) == pytest.approx(size, rel=1e-6)
 
 
 def test_flows_count_where_they_are_asked_for():
     output = EXACT.output.copy()
-    output[0, -1, 1] += 0.1 * np.abs(output[0, :, 1]).max()
+    output[0, -1, 1] += 0.1 * np.abs(output[0, 1:, 1]).max()
     found = EXACT._replace(output=output)
     assert time_error(found, EXACT, fixed=1, wells=1, flows=False) == 0.0
     assert time_error(found, EXACT, fixed=1, wells=1, flows=True) == pytest.approx(0.1)
