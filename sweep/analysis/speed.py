@@ -158,7 +158,7 @@ def _ladders(
                 shown,
                 _median(rungs["solver_time"].values.reshape(len(own), -1), status),
                 _median(error, status),
-                np.array([np.max(row, initial=np.nan) for row in error]),
+                error.max(axis=1),
                 str(messages[failed[0]]).removeprefix("flow: ") if len(failed) else "",
             )
         )

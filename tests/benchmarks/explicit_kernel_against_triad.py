@@ -6,9 +6,10 @@ import numba
 import numpy as np
 
 from model.flow.algebraic import algebraic
-from model.flow.explicit import stencil, step_limit
+from model.flow.explicit import step_limit
 from model.flow.problem import Problem
 from model.flow.solvers import SOLVERS
+from model.flow.stencil import stencil
 from tests.benchmarks.result import Result
 from tests.diffusion import seconds, well_problem
 
