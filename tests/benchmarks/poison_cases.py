@@ -48,9 +48,9 @@ observe: [boundary_flow]
 limits: {limits}
 """
 MODEL_CASES = {
-    "larger than the time": (1_000_000, "{time: 20 s}", Status.TIMED_OUT, "not done after 20 s"),
+    "larger than the time": (1_000_000, "{time: 10 s}", Status.TIMED_OUT, "not done after 10 s"),
     "larger than the memory": (
-        3_000_000, "{memory: 500 MB}", Status.OUT_OF_MEMORY, "more than 0.5 GB",
+        2_000_000, "{memory: 500 MB}", Status.OUT_OF_MEMORY, "more than 0.5 GB",
     ),
 }  # fmt: skip
 
