@@ -187,7 +187,8 @@ class LocalPool:
                 _kill(nanny.pid)
         # a scheduler that has not seen them go would write to them
         patience = time.monotonic() + 1.0
-        while self.cluster.scheduler.workers and time.monotonic() < patience:
+        scheduler = self.cluster.scheduler
+        while scheduler and scheduler.workers and time.monotonic() < patience:
             time.sleep(0.01)
 
     def _nannies(self) -> list[Any]:
