@@ -249,8 +249,10 @@ def _correct(
         u += correction
         if learnt:
             kept = changes[:learnt]  # all of them, once there are more than MEMORY
-            mix = np.linalg.lstsq(kept @ kept.T, kept @ correction, rcond=1e-14)[0]
-            u -= mix @ steps[:learnt]
+            scale = 1.0 / np.maximum(np.sqrt(np.sum(kept * kept, axis=1)), 1e-300)
+            gram = scale[:, None] * (kept @ kept.T) * scale
+            mix = np.linalg.lstsq(gram, scale * (kept @ correction), rcond=1e-11)[0]
+            u -= (scale * mix) @ steps[:learnt]
     return corrections, ratio
 
 
