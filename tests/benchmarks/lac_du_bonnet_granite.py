@@ -59,6 +59,8 @@ def run() -> Result:
                 )
             except ModelError as error:
                 lines.append(str(error))
+        if len(found) < 2:
+            continue
         means = tuple(
             statistics.mean(float(getattr(one, name)) for one in found)
             for name in ("youngs_modulus", "poissons_ratio", "peak_strength")
