@@ -20,13 +20,14 @@ TOUCH = 1e-9  # part of the radius by which a fitted grain falls short of its ne
 TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
 
 
-def fit(x: Array, y: Array, radius: Array, floating: Array) -> tuple[Array, Array]:
+def fit(x: Array, y: Array, radius: Array, floating: Array, box: Array) -> tuple[Array, Array]:
     """Fit floaters into their voids, in place.
 
     Parameters
     ----------
     x, y, radius : (n,) of all grains, changed for the floaters that are fitted.
     floating : (n,) bool.
+    box : (4,) walls xmin, xmax, ymin, ymax, which a fitted grain does not reach.
 
     Returns
     -------
@@ -54,6 +55,12 @@ def fit(x: Array, y: Array, radius: Array, floating: Array) -> tuple[Array, Arra
         )
         if best is None or best[2] < LEAST * mean:
             continue
+        at_x, at_y, reach = best[:3]
+        others = np.r_[standing, np.array(placed, dtype=np.int64)]
+        gaps = np.hypot(x[others] - at_x, y[others] - at_y) - radius[others] - reach
+        walls = np.array([at_x - box[0], box[1] - at_x, at_y - box[2], box[3] - at_y]) - reach
+        if gaps.min() < -1e-9 * mean or walls.min() < 0.0:
+            continue  # the circle leaves its void
         x[grain], y[grain], radius[grain] = best[0], best[1], best[2] * (1.0 - TOUCH)
         made += [(min(grain, k), max(grain, k)) for k in around[list(best[3])]]
         placed.append(int(grain))

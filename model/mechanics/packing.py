@@ -266,7 +266,7 @@ def fit_floaters(specimen: Specimen) -> tuple[Array, Array]:
     counts = measures.contact_counts(
         grains.x, grains.y, grains.radius, specimen.box, a[touch], b[touch]
     )
-    found = fit(grains.x, grains.y, grains.radius, counts < 2)
+    found = fit(grains.x, grains.y, grains.radius, counts < 2, specimen.box)
     specimen.pairs = find_pairs(grains, specimen.skin, specimen.pairs)
     return found
 

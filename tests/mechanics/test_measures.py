@@ -100,5 +100,7 @@ def test_floaters_are_fitted_without_overlap_and_touch_three() -> None:
 
 def test_fitting_needs_grains_around() -> None:
     x = np.array([0.0, 2.0, 1.0])
-    a, b = fit(x, np.zeros(3), np.ones(3), np.array([False, False, True]))
+    a, b = fit(
+        x, np.zeros(3), np.ones(3), np.array([False, False, True]), np.array([-9.0, 9.0, -9.0, 9.0])
+    )
     assert len(a) == len(b) == 0
