@@ -16,7 +16,7 @@ from pathlib import Path
 from tests.benchmarks.result import Result
 
 FOLDER = Path(__file__).parent
-HELPERS = ("__main__", "contrasts", "grids", "ran", "result", "specimens", "sweeps")
+HELPERS = ("__main__", "contrasts", "grids", "ran", "result", "specimens", "steps", "sweeps")
 PAGE = FOLDER.parents[1] / "docs" / "benchmarks.md"
 
 
