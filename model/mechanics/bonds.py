@@ -58,9 +58,8 @@ def no_cracks(m: int) -> Cracks:
 
 def no_bonds() -> BondState:
     """The bonds of unbonded grains."""
-    return BondState(
-        NO_BONDS, 0.0, *(np.empty(0) for _ in range(9)), np.empty(0, np.int8), no_cracks(0)
-    )
+    fields = [np.empty(0) for _ in range(9)]
+    return BondState._make([NO_BONDS, 0.0, *fields, np.empty(0, np.int8), no_cracks(0)])
 
 
 def strengths(mean: float, deviation: float, count: int, random: np.random.Generator) -> Array:

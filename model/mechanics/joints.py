@@ -74,9 +74,9 @@ class Trace(NamedTuple):
 
 def no_joints() -> JointState:
     """The joints of a rock without fractures."""
-    none = np.empty(0, np.int64)
-    numbers = (np.empty(0) for _ in range(13))
-    return JointState(none, none, *numbers, np.empty(0, np.int8), no_cracks(0))
+    grains = [np.empty(0, np.int64) for _ in range(2)]
+    numbers = [np.empty(0) for _ in range(13)]
+    return JointState._make([*grains, *numbers, np.empty(0, np.int8), no_cracks(0)])
 
 
 class Joints:
@@ -85,6 +85,7 @@ class Joints:
     def __init__(self, traces: Sequence[Trace], grains: Grains):
         self.traces = tuple(traces)
         self.x, self.y = grains.x.copy(), grains.y.copy()
+        self.made = False
         self.found = np.zeros(len(self.traces), dtype=bool)  # whether it ever crossed a contact
 
     def join(self, grains: Grains, pairs: Pairs, kn: float, known: JointState) -> JointState:
@@ -98,8 +99,13 @@ class Joints:
         n = np.int64(len(grains.x))
         old = np.isin(a * n + b, known.a * n + known.b)
         pairs.bond[old] = JOINED
+        new = np.ones(len(a), dtype=bool)
+        if self.made:  # what touches or is cemented beside a trace stays as it is
+            gap = np.hypot(grains.x[b] - grains.x[a], grains.y[b] - grains.y[a])
+            new = (pairs.bond == -1) & (gap >= grains.radius[a] + grains.radius[b])
+        self.made = True
         for index, trace in enumerate(self.traces):
-            free = np.flatnonzero(pairs.bond != JOINED)
+            free = np.flatnonzero(new & (pairs.bond != JOINED))
             across, sign = self._across(trace, grains, a[free], b[free])
             if not len(across):
                 continue
@@ -179,7 +185,7 @@ def _joined(one: JointState, two: JointState) -> JointState:
     """Both lists of contacts in one."""
     cracks = Cracks(*map(np.concatenate, zip(one.cracks, two.cracks, strict=True)))
     fields = map(np.concatenate, zip(one[:-1], two[:-1], strict=True))
-    return JointState(*fields, cracks)
+    return JointState._make([*fields, cracks])
 
 
 @kernel
@@ -257,8 +263,8 @@ def joint_forces(
             fn = fs = gap = 0.0
         if ledger is not None:
             lost = spent(held_s, fs, ks, us)
-            if held_n > 0.0 or fn > 0.0 or broke:
-                lost += spent(held_n, fn, kn, un) if fn > 0.0 or broke else 0.0
+            if (held_n > 0.0 and fn > 0.0) or broke:  # closing and opening lose nothing
+                lost += spent(held_n, fn, kn, un)
             ledger[BREAKAGE if broke else SLIP] += lost
             ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / ks
         joints.gap[k], joints.normal[k], joints.shear[k] = gap, fn, fs

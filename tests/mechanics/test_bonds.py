@@ -138,7 +138,7 @@ def test_pulled_pair_comes_apart_for_good(kind: str) -> None:
 
 def test_cement_with_friction_holds_mohr_coulomb() -> None:
     cement = bonds("parallel", 1, shear=0.02)._replace(friction=0.5)
-    assert bond_state(cement, 0, 0.04, 0.079, 0.0) == INTACT  # τ = 0.0395 < 0.02 + 0.5 · 0.02
+    assert bond_state(cement, 0, 0.04, 0.059, 0.0) == INTACT  # τ = 0.0295 < 0.02 + 0.5 · 0.02
     assert bond_state(cement, 0, 0.04, 0.061, 0.0) == BROKEN_IN_SHEAR
     assert bond_state(cement, 0, -0.04, 0.041, 0.0) == BROKEN_IN_SHEAR  # tension adds nothing
 
@@ -187,14 +187,14 @@ def cantilever(n: int, radius: float, ks: float) -> tuple[float, float]:
 @pytest.mark.parametrize("ks", [0.4, 1.0])
 def test_bonded_row_bends_as_a_timoshenko_beam(ks: float) -> None:
     """Clamped, guided: w = P L³ / 12 E I + P L / G A, E = k_n / 2, G A = E A k_s / k_n."""
-    for n, tolerance in ((6, 2e-2), (15, 4e-3)):
+    for n in (6, 15):
         radius, modulus = 0.5, 0.5
         length = 2.0 * radius * (n - 1)
         area, inertia = 2.0 * radius, 2.0 * radius**3 / 3.0
         bending = length**3 / (12.0 * modulus * inertia)
         shear = length / (modulus * ks * area)
         force, moment = cantilever(n, radius, ks)
-        assert abs(force) == pytest.approx(1.0 / (bending + shear), rel=tolerance)
+        assert abs(force) == pytest.approx(1.0 / (bending + shear), rel=1.1 / (n - 1) ** 2)
         # the moment falls linearly from P L / 2; the first bond sits one radius from the clamp
         assert abs(moment / force) == pytest.approx(0.5 * length - radius, rel=1e-4)
         # the chain itself, bond by bond: Σ (x_k² / k_r) + (n − 1) / k_s

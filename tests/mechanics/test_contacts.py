@@ -191,7 +191,8 @@ def test_shear_history_does_not_notice_when_the_list_is_made_anew() -> None:
         grains = discs(
             x, y, velocity=0.01 * rng.normal(size=(16, 2)), spin=0.01 * rng.normal(size=16)
         )
-        specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), dt=0.2, skin=skin)
+        box = np.array([-0.99, 6.93, -0.99, 6.93])
+        specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.5), dt=0.2, skin=skin)
         specimen.relax(STANDING, NEVER, damping=0.0, steps=40)
         return specimen, grains
 
