@@ -37,7 +37,7 @@ def lammps_steps(
         data = Path(folder, "discs.data")
         lines = [
             "discs", "", f"{len(x)} atoms", "1 atom types",
-            f"0 {size[0]!r} xlo xhi", f"0 {size[1]!r} ylo yhi", "-0.5 0.5 zlo zhi",
+            f"0 {float(size[0])!r} xlo xhi", f"0 {float(size[1])!r} ylo yhi", "-0.5 0.5 zlo zhi",
             "", "Atoms", "",
         ]  # fmt: skip
         lines += [
