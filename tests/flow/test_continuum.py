@@ -41,8 +41,8 @@ def fall(seen, well=0):
 
 
 def test_linear_flow_at_any_time():
-    rock = reservoir(square_lattice(1.1, RADIUS), Rectangle(2.0, 0.4), W)
-    t_D = np.geomspace(3e-4, 3.0, 33)
+    rock = reservoir(square_lattice(1.1, RADIUS), Rectangle(2.0, 0.2), W)
+    t_D = np.geomspace(2e-3, 3.0, 25)
     places = np.linspace(-0.95, 0.95, 20)
     probes = tuple(Probe(f"{x}", (float(x), 0.01)) for x in places)
     seen = rock.observed(
@@ -51,7 +51,7 @@ def test_linear_flow_at_any_time():
         0.0,
         tuple(t_D * 4 / DIFFUSIVITY),
         probes=probes,
-        tolerance=1e-7,
+        tolerance=1e-5,
     )
     at = (np.floor(places / (2 * RADIUS)) + 0.5) * 2 * RADIUS  # of the pore
     expected = linear_dimensionless_pressure(0.5 * (at[:, None] + 1.0), t_D)
@@ -67,7 +67,7 @@ def test_radial_flow_at_any_time(R_De):
     well = Well(name="w", at=(0.0, 0.0), radius=1 / R_De, rate=1.0)
     t_D = np.geomspace(1.0, 1e3, 20)
     unit = HEXAGONAL_POROSITY * MU / (k * K_F * R_De**2)
-    seen = rock.observed((well,), (("outer", 0.0),), 0.0, tuple(t_D * unit), tolerance=1e-7)
+    seen = rock.observed((well,), (("outer", 0.0),), 0.0, tuple(t_D * unit), tolerance=1e-5)
     steady = MU * math.log(R_De) / (2 * math.pi * k)
     found = -seen["well_pressure"][0] / steady
     np.testing.assert_allclose(found, radial_dimensionless_pressure(1.0, t_D, R_De), rtol=0.03)
@@ -79,9 +79,7 @@ def test_interference_follows_theis():
     well = Well(name="w", at=(0.0, 0.0), radius=1e-4, rate=1.0)
     probes = (Probe("along", (0.3, 0.0)), Probe("across", (0.2, 0.2)), Probe("near", (0.1, 0.05)))
     times = np.geomspace(0.02, 0.2, 9) / DIFFUSIVITY
-    seen = rock.observed(
-        (well,), (("left", 0.0),), 0.0, tuple(times), probes=probes, tolerance=1e-7
-    )
+    seen = rock.observed((well,), (), 0.0, tuple(times), probes=probes, tolerance=1e-5)
     for k, probe in enumerate(probes):
         expected = line_source(math.hypot(*probe.at), DIFFUSIVITY * times)
         np.testing.assert_allclose(
@@ -97,7 +95,7 @@ def test_a_closed_circle_comes_to_pseudo_steady_flow():
     well = (Well(name="w", at=(0.0, 0.0), radius=1 / R_De, rate=1.0),)
     t_D = np.array([1.0, 2.0, 4.0]) * R_De**2
     unit = HEXAGONAL_POROSITY * MU / (k * K_F * R_De**2)
-    seen = rock.observed(well, (), 0.0, tuple(t_D * unit), tolerance=1e-7)
+    seen = rock.observed(well, (), 0.0, tuple(t_D * unit), tolerance=1e-5)
     found = -seen["well_pressure"][0] * 2 * math.pi * k / MU
     np.testing.assert_allclose(found, closed_circle_pseudo_steady(1.0, t_D, R_De), rtol=0.02)
     slope = np.diff(found) / np.diff(t_D)
@@ -112,7 +110,7 @@ def test_a_fracture_of_infinite_conductivity_follows_gringarten():
     well = Well(name="w", at=(0.0, 0.0), radius=1e-3, rate=1.0)
     t_Dxf = np.geomspace(0.05, 1.0, 12)
     seen = rock.observed(
-        (well,), (("left", 0.0),), 0.0, tuple(t_Dxf * half_length**2 / DIFFUSIVITY), tolerance=1e-7
+        (well,), (), 0.0, tuple(t_Dxf * half_length**2 / DIFFUSIVITY), tolerance=1e-5
     )
     np.testing.assert_allclose(fall(seen), infinite_conductivity_fracture(t_Dxf), rtol=0.03)
 
@@ -125,9 +123,7 @@ def test_a_fracture_of_finite_conductivity_flows_bilinearly():
     rock = reservoir(SQUARE, BOX, W, (fracture,))
     well = Well(name="w", at=(0.0, 0.0), radius=1e-3, rate=1.0)
     spread = np.geomspace(0.002, 0.012, 9)  # η t, m²
-    seen = rock.observed(
-        (well,), (("left", 0.0), ("right", 0.0)), 0.0, tuple(spread / DIFFUSIVITY), tolerance=1e-7
-    )
+    seen = rock.observed((well,), (), 0.0, tuple(spread / DIFFUSIVITY), tolerance=1e-5)
     found = fall(seen)
     # lengths in metres: x_f = 1 m, F_CD = T μ / (k x_f)
     np.testing.assert_allclose(found, bilinear_flow(spread, 2.0), rtol=0.03)

@@ -35,7 +35,7 @@ STEPS = (30.0, 100.0, 300.0)  # times over the shortest response time of a pore
 
 
 def system() -> System:
-    """Some 200 pores with a fracture, one side held, a well with storage; conductances near 1."""
+    """Some 120 pores with a fracture, one side held, a well with storage; conductances near 1."""
     packing = random_graph(1.2, 330, 5)
     packing = packing._replace(radius=0.5 * packing.radius)
     fracture = Trace(
