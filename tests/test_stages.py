@@ -21,6 +21,7 @@ from model.scene import (
     Fluid,
     FractureSet,
     Grains,
+    Joint,
     Matrix,
     Probe,
     Scene,
@@ -35,13 +36,18 @@ from model.stages import STAGES, case_maps, run_stages, simulate
 BY_NAME = {stage.name: stage for stage in STAGES}
 OBSERVED = tuple(name for name in OBSERVABLES if name not in MEASURED_BY_A_TEST)
 GRAINS = Grains(count=150, porosity=0.17, modulus=2e10)
+BONDS = Bonds(kind="parallel", tensile_strength=2e7, shear_strength=2e7)
+TEST = FailureTest(confining_stress=1e6, strain_step=4e-6)
+LOOSE = {"bonds": None, "stress": None, "test": None}
 SCENE = Scene(
     region=Circle(1.0),
     grains=GRAINS,
     matrix=Matrix(permeability=1e-14, half_force=5e6),
     fluid=Fluid(1e-3, 1e9),
-    observe=OBSERVED,
+    observe=OBSERVABLES,
+    bonds=BONDS,
     stress=Stress(1.2e7, 1e7),
+    test=TEST,
     fractures=(
         BiWing(name="wings", aperture=1e-4, at=(0.0, 0.0), angle=0.2, half_length=0.5),
         FractureSet(name="set", permeability=1e-12, angle=1.1, length=0.5, spacing=0.4),
@@ -120,10 +126,14 @@ def test_products_are_named_arrays(stage):
 
 READS = {
     "pack": {"region", "grains.count", "grains.seed", "grains.porosity", "grains.radius_ratio"},
-    "stress": {"stress", "grains.modulus", "grains.friction", "grains.stiffness_ratio"},
+    "unit_loads": {"grains.friction", "grains.stiffness_ratio"},
+    "stress": {"stress", "bonds", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
+    | {"grains.seed", "joint"},
+    "strength": {"test", "bonds", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
+    | {"grains.seed"},
     "network": {"region"},
     "calibrate": set(),
-    "open": {"region", "matrix", "fractures", "viscosity"},
+    "open": {"region", "matrix", "fractures", "joint", "viscosity"},
     "measure": {"viscosity"},
     # of the pressures it knows only whether the boundary differs from the start
     "flow": {"region", "bulk_modulus", "well.radius", "times", "solver", "probes", "observe"}
@@ -150,6 +160,11 @@ def variants():
     well = SCENE.wells[0]
     yield "region", changed(region=Circle(1.05))
     yield "stress", changed(stress=Stress(1.1e7, 1e7))
+    yield "bonds", changed(bonds=dataclasses.replace(BONDS, tensile_strength=3e7))
+    yield "test", changed(test=dataclasses.replace(TEST, confining_stress=2e6))
+    joint = Joint(normal_stiffness=1e10, shear_stiffness=1e10, friction=0.5)
+    wings = dataclasses.replace(SCENE.fractures[0], joint=joint)
+    yield "joint", changed(fractures=(wings, SCENE.fractures[1]))
     yield "matrix", changed(matrix=Matrix(permeability=2e-14, half_force=5e6))
     yield "fractures", changed(fractures=())
     yield "viscosity", changed(fluid=Fluid(2e-3, 1e9))
@@ -227,7 +242,7 @@ def test_permeability_alone_runs_neither_stress_nor_flow(monkeypatch):
 
 @pytest.mark.parametrize("name", OBSERVED)
 def test_what_is_observed_is_what_the_table_of_quantities_says(name):
-    scene = changed(observe=(name,), stress=None, matrix=Matrix(aperture=1e-5), fractures=())
+    scene = changed(observe=(name,), **LOOSE, matrix=Matrix(aperture=1e-5), fractures=())
     found = simulate(scene)
     for key in found:
         assert key in CASE
@@ -251,7 +266,12 @@ def test_shapes_are_those_of_the_table():
     for name, value in SEEN.items():
         assert value.shape == tuple(sizes[d] for d in CASE[name].dimensions), name
     steady = dataclasses.replace(
-        SCENE, times=(), wells=SCENE.wells[:1], stress=None, matrix=Matrix(aperture=1e-5)
+        SCENE,
+        **LOOSE,
+        observe=OBSERVED,
+        times=(),
+        wells=SCENE.wells[:1],
+        matrix=Matrix(aperture=1e-5),
     )
     for name, value in simulate(steady).items():
         shape = tuple(
@@ -277,6 +297,7 @@ def test_maps_are_named_and_shaped_as_the_table_says():
         "pipe": len(maps["aperture"]),
         "grain": len(PRODUCTS["pack"].x),
         "contact": len(PRODUCTS["stress"].contact_a),
+        "crack": len(PRODUCTS["stress"].crack_mode),
         "elapsed_time": 3,
     }
     for name, quantity in MAPS.items():
@@ -333,6 +354,8 @@ def test_stress_closes_apertures_across_it_more_than_along():
     loaded = dataclasses.replace(
         SCENE,
         observe=("permeability",),
+        bonds=None,
+        test=None,
         fractures=(),
         grains=Grains(count=600, porosity=0.165, modulus=2e10, seed=3),
         matrix=Matrix(aperture=1e-5, half_force=5e6, gap_factor=0.0),
