@@ -169,7 +169,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         "residual": responses.residual,
         "estimated_error": responses.time_error,
         "isolated_domains": responses.isolated,
-        "solver": responses.solver,
+        "solver_used": responses.solver,
         "solver_reason": responses.solver_reason,
     }
     if not told.transient:

@@ -109,7 +109,7 @@ CASE: dict[str, Quantity] = {
         transient=True,
         gaps=True,
     ),
-    "solver": Quantity("", (), "flow solver that ran", text=True),
+    "solver_used": Quantity("", (), "flow solver that ran", text=True),
     "solver_reason": Quantity("", (), "why that flow solver was taken", text=True),
     "stress_achieved": Quantity(
         "Pa", ("component",), "stress in the specimen, positive in compression"
