@@ -47,6 +47,8 @@ class Sums(NamedTuple):
     virial_xx: float  # Σ F_x l_x with the actual branch vectors, compression positive
     virial_yy: float
     virial_xy: float
+    load_xx: float  # Σ x L_x of the loads from outside, which the walls bear with the virial
+    load_yy: float
     left: float  # force on each wall, outwards
     right: float
     bottom: float
@@ -94,7 +96,7 @@ def contact_forces(
     if joints.a.size > 0:
         contacts, force = joint_forces(grains, joints, box, step, dt, stretch_x, stretch_y, ledger)
     special = bonds.kind != NO_BONDS or joints.a.size > 0
-    virial_xx = virial_yy = virial_xy = 0.0
+    virial_xx = virial_yy = virial_xy = load_xx = load_yy = 0.0
     unbalanced, loaded = 0.0, 0
     left = right = bottom = top = 0.0
     n_left = n_right = n_bottom = n_top = 0
@@ -212,8 +214,11 @@ def contact_forces(
         if f2 > 0.0:
             unbalanced += np.sqrt(f2)
             loaded += 1
-        fxi -= grains.load_x[i]
-        fyi -= grains.load_y[i]
+        load_x, load_y = grains.load_x[i], grains.load_y[i]
+        load_xx += xi * load_x
+        load_yy += yi * load_y
+        fxi -= load_x
+        fyi -= load_y
         virial_xx += xi * fxi
         virial_yy += yi * fyi
         virial_xy += 0.5 * (xi * fyi + yi * fxi)
@@ -227,7 +232,7 @@ def contact_forces(
         virial_yy += top * ymax - bottom * ymin
     return Sums(
         contacts, force, unbalanced / max(loaded, 1), virial_xx, virial_yy, virial_xy,
-        left, right, bottom, top, n_left, n_right, n_bottom, n_top,
+        load_xx, load_yy, left, right, bottom, top, n_left, n_right, n_bottom, n_top,
     )  # fmt: skip
 
 

@@ -52,6 +52,17 @@ def clip(value: float, limit: float) -> float:
 
 
 @kernel
+def mean_stresses(sums: Sums, box: Array) -> tuple[float, float]:
+    """Mean stresses (xx, yy) over the box: at rest those of its walls.
+
+    Loads from outside, such as a pressure in a hole, bear their part: without their moment the
+    stretch would be set against the walls.
+    """
+    area = (box[1] - box[0]) * (box[3] - box[2])
+    return (sums.virial_xx + sums.load_xx) / area, (sums.virial_yy + sums.load_yy) / area
+
+
+@kernel
 def stretches(
     servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float
 ) -> tuple[float, float]:
@@ -60,13 +71,13 @@ def stretches(
     σ is the mean stress by the actual branch vectors; r_a + r_b instead would set the stretch
     against the walls.
     """
-    area = (box[1] - box[0]) * (box[3] - box[2])
+    mean_xx, mean_yy = mean_stresses(sums, box)
     factor = servo.gain / servo.modulus
     stretch_x, stretch_y = servo.drive_x, servo.drive_y
     if np.isnan(stretch_x):
-        stretch_x = clip(factor * (sums.virial_xx / area - wanted_xx), servo.limit)
+        stretch_x = clip(factor * (mean_xx - wanted_xx), servo.limit)
     if np.isnan(stretch_y):
-        stretch_y = clip(factor * (sums.virial_yy / area - wanted_yy), servo.limit)
+        stretch_y = clip(factor * (mean_yy - wanted_yy), servo.limit)
     return stretch_x, stretch_y
 
 
@@ -109,16 +120,16 @@ def move_walls(
 def stress_error(servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float) -> float:
     """Largest relative error of the wall stresses and the mean stresses that are wanted."""
     width, height = box[1] - box[0], box[3] - box[2]
-    area = width * height
+    mean_xx, mean_yy = mean_stresses(sums, box)
     worst_x = max(
         abs(sums.left / height - wanted_xx),
         abs(sums.right / height - wanted_xx),
-        abs(sums.virial_xx / area - wanted_xx),
+        abs(mean_xx - wanted_xx),
     )
     worst_y = max(
         abs(sums.bottom / width - wanted_yy),
         abs(sums.top / width - wanted_yy),
-        abs(sums.virial_yy / area - wanted_yy),
+        abs(mean_yy - wanted_yy),
     )
     error_x = worst_x / wanted_xx if np.isnan(servo.drive_x) else 0.0
     error_y = worst_y / wanted_yy if np.isnan(servo.drive_y) else 0.0
