@@ -46,6 +46,7 @@ LEAST_START = 0.01  # of the target stress: where a path starts at least
 MODULUS = 0.5  # stress per strain that the pace assumes, over k_n
 DAMPING = 0.5  # local
 MOST_STEPS = 200_000
+REST_STEPS = 100_000  # besides those of the path: grains without friction took up to 40,000
 PLASTIC_STRAIN = 0.01  # beyond twice the elastic one, at which a specimen counts as flowing
 
 
@@ -118,7 +119,7 @@ def load(
         )
     path = straight_path(float(packing.packing_pressure), float(wanted[0]), float(wanted[1]))
     slowest = path.pace * np.sqrt(min(path.start_xx, path.start_yy, path.target_xx, path.target_yy))
-    steps = int(min(MOST_STEPS, 30_000 + 2.0 / slowest))
+    steps = int(min(MOST_STEPS, REST_STEPS + 2.0 / slowest))
     way = max(abs(path.target_xx - path.start_xx), abs(path.target_yy - path.start_yy))
     stop = Stop(
         ratio=stress.tolerance,
