@@ -237,7 +237,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="unit_loads",
         run=unit_loads,
-        version=1,
+        version=2,
         parents=("pack",),
         reads={
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
@@ -250,7 +250,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         run=stress,
-        version=3,
+        version=4,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -267,7 +267,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         run=strength,
-        version=1,
+        version=2,
         parents=("pack",),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

@@ -4,7 +4,8 @@ Before the test the packed grains are relieved to INSTALLED, so that little stre
 by the bonds that are then installed. *Biaxial*: the lateral walls hold the confining stress,
 the platens (bottom and top) approach each other at a constant strain rate, as in Potyondy &
 Cundall (2004). *Tension*: the grains next to the platens are gripped and pulled apart, the sides
-are free. A test ends when the stress has fallen to FALLEN of its peak.
+are free. A test ends when the stress has fallen to FALLEN of its peak, or at the largest strain,
+where grains that flow have reached their strength as well.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ HOLDING = 10.0  # friction while the packing is relieved, so that it stays as it
 GRIP = 3.0  # mean radii from the platens within which grains are gripped in tension
 GAUGE = 0.7  # part of the width and the height over which strains are measured
 FALLEN = 0.7  # part of the peak stress at which a test ends
+FLOWING = 1.1  # rise of the mean stress over the last two quarters of a test at which grains flow
 RECORDS = 400  # along the largest strain
 ELASTIC = 0.5  # part of the peak stress below which the moduli are read
 DAMPING = 0.7  # local: strain rates are small, waves should die
@@ -65,7 +67,7 @@ def strength(
         curve = _press(specimen, test, normal_stiffness)
     stress, axial, lateral, cracks = curve
     peak = int(np.argmax(stress))
-    if stress[peak] <= 0.0 or stress[-1] > FALLEN * stress[peak]:
+    if stress[peak] <= 0.0 or not (stress[-1] <= FALLEN * stress[peak] or flows(stress)):
         raise ModelError(
             f"the specimen came to no peak within a strain of {axial[-1]:.2%}, where it bears "
             f"{normal_stiffness * stress[-1]:.4g} Pa; try a larger test.largest_strain, a smaller "
@@ -88,6 +90,16 @@ def strength(
         cracks=cracks,
         steps=np.array(specimen.steps),
     )
+
+
+def flows(stress: Array) -> bool:
+    """Whether stresses (k,) at equal strain steps level off: grains in their critical state.
+
+    Unbonded grains bear their frictional strength for good, and never fall to a part of it.
+    """
+    quarter = max(len(stress) // 4, 1)
+    last, before = stress[-quarter:].mean(), stress[-2 * quarter : -quarter].mean()
+    return bool(0.0 < last <= FLOWING * before)
 
 
 def relieve(packing: Packing) -> Packing:
