@@ -216,7 +216,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         run=pack,
-        version=2,
+        version=3,
         parents=(),
         reads={
             "region": lambda s: s.region,

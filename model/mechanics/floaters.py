@@ -2,7 +2,8 @@
 
 A floater becomes the largest circle of its void: it touches three of the grains around without
 overlap, its radius is the gap (physics of Potyondy & Cundall's treatment, without the motion that
-would bring floaters back). Floaters of one void are fitted one after the other.
+would bring floaters back). Floaters of one void are fitted one after the other, and cover none
+that stays.
 """
 
 from __future__ import annotations
@@ -33,9 +34,35 @@ def fit(x: Array, y: Array, radius: Array, floating: Array, box: Array) -> tuple
     -------
     (a, b), each (k,): the contacts without force that this makes, a < b, sorted.
     """
+    floating = floating.copy()
+    while True:
+        trial = x.copy(), y.copy(), radius.copy()
+        made, placed = _place(*trial, floating, box)
+        floats = floating.copy()
+        floats[placed] = False
+        covered = np.flatnonzero(floats)[_covered(*trial, np.flatnonzero(floats), placed)]
+        if not len(covered):
+            break
+        floating[covered] = False  # what stays floating stands in the way of the others
+    x[:], y[:], radius[:] = trial
+    pairs = np.array(sorted(made), dtype=np.int64).reshape(-1, 2)
+    return pairs[:, 0], pairs[:, 1]
+
+
+def _covered(x: Array, y: Array, radius: Array, grains: Array, placed: Array) -> Array:
+    """Which of some grains (g,) overlap a placed one: bool (g,)."""
+    gap = np.hypot(x[grains, None] - x[placed], y[grains, None] - y[placed])
+    gap -= radius[grains, None] + radius[placed]
+    return np.any(gap < -1e-9 * radius.mean(), axis=1)
+
+
+def _place(
+    x: Array, y: Array, radius: Array, floating: Array, box: Array
+) -> tuple[list[tuple[int, int]], Array]:
+    """Fit floaters one after the other; returns the contacts made and the grains placed."""
     standing = np.flatnonzero(~floating)
     if len(standing) < NEIGHBOURS:
-        return np.empty(0, np.int64), np.empty(0, np.int64)
+        return [], np.empty(0, np.int64)
     tree = cKDTree(np.column_stack([x[standing], y[standing]]))
     made: list[tuple[int, int]] = []
     placed: list[int] = []
@@ -64,8 +91,7 @@ def fit(x: Array, y: Array, radius: Array, floating: Array, box: Array) -> tuple
         x[grain], y[grain], radius[grain] = best[0], best[1], best[2] * (1.0 - TOUCH)
         made += [(min(grain, k), max(grain, k)) for k in around[list(best[3])]]
         placed.append(int(grain))
-    pairs = np.array(sorted(made), dtype=np.int64).reshape(-1, 2)
-    return pairs[:, 0], pairs[:, 1]
+    return made, np.array(placed, dtype=np.int64)
 
 
 def largest_circle(
