@@ -258,12 +258,14 @@ def joint_forces(
                 gap -= slid * joints.dilation[k]
                 fn = -kn * gap
         along = dy * nx - dx * ny
-        if state != INTACT and abs(along) > reach:  # they have slid past each other
+        parted = state != INTACT and abs(along) > reach  # they have slid past each other
+        if parted:
             joints.state[k] = APART
             fn = fs = gap = 0.0
         if ledger is not None:
             lost = spent(held_s, fs, ks, us)
-            if (held_n > 0.0 and fn > 0.0) or broke:  # closing and opening lose nothing
+            # closing and opening lose nothing
+            if (held_n > 0.0 and fn > 0.0) or broke or parted:
                 lost += spent(held_n, fn, kn, un)
             ledger[BREAKAGE if broke else SLIP] += lost
             ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / ks
