@@ -324,7 +324,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         run=flow,
-        version=4,
+        version=5,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,

@@ -7,8 +7,8 @@ and again, serve most windows of time: one at its slow end, whose images are nea
 states, and one near its fast end.
 
 The error is estimated from how the recorded outputs move while the space grows. The change
-over a few vectors is the error that the space had before them; the same reduction once more
-gives the error that it has now.
+over a few vectors is the error that the space had before them; a reduction as slow as the
+slowest of late gives the error that it has now.
 """
 
 from __future__ import annotations
@@ -29,10 +29,15 @@ from model.outcome import ModelError
 MOST_VECTORS = 300
 
 # The reduction of the error is not even; the estimate is taken this much larger.
-CAUTION = 3.5
+CAUTION = 2.5
 
 # Vectors over which changes are taken: the estimate is the worst of them.
-WIDTHS = (2, 3)
+WIDTHS = (1, 2, 3)
+
+SHORTEST = 3  # vectors before the first estimate
+
+# Sizes over which the slowest reduction counts: the error falls by stairs at times.
+LATE = 8
 
 # The fast pole lies above the fast end of the window, lower the wider the window is.
 ABOVE, SLOPE = 3.0, 0.25
@@ -40,8 +45,7 @@ ABOVE, SLOPE = 3.0, 0.25
 # Poles are powers of this, that sources may share their factors.
 LADDER = 4.0
 
-# An estimate is at least this part of the one before: the error falls by stairs at times, and
-# on a stair little changes.
+# An estimate is at least this part of the one before: on a stair little changes.
 FALL = 0.03
 
 # Round-off that the projection may have, of the tolerance; what is found is a tenth of it.
@@ -154,18 +158,22 @@ class Growth:
         self.lag = problem.lag[problem.lag > 0]
         some = np.unique(np.linspace(0, len(self.lag) - 1, MAP_CHECKS).astype(int))
         self.map_lag = self.lag[some] if len(problem.domain) else self.lag[:0]
+        records = problem.records
+        counts = len(self.direct) - (0 if problem.check_flows else records.flow_rows)
+        self.far = counts > (problem.own_well(source) is not None) or len(problem.domain) > 0
+        self._coefficients: dict[int, np.ndarray] = {}
+        self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._outputs: dict[int, np.ndarray] = {}
 
     def to_tolerance(self, poles: Poles) -> float:
         """Grow the space to the tolerance; the estimated error. Raises `ModelError`."""
         space, tolerance = self.space, self.problem.tolerance
-        shortest = 1 + min(WIDTHS)
         wait, before = 0, 0.0
         while space.size < MOST_VECTORS:
             if not space.extend(*poles.next()):
                 return 0.0  # the space holds all that the source can reach
             wait -= 1
-            if space.size < shortest or wait > 0:
+            if space.size < SHORTEST or wait > 0:
                 continue
             found, rate, cheap = self._estimate()
             error, before = max(found, FALL * before), found
@@ -181,23 +189,30 @@ class Growth:
     def _estimate(self) -> tuple[float, float, bool]:
         """Error of the space, the factor by which each vector reduces it, and whether it is cheap.
 
-        With d the largest change of an output over the last w vectors and b that over the w
-        before, the error is d · d / b; where there were none before, b is 1, the error of
-        no vectors. The largest estimate of all w counts. Maps are looked at once the
-        recorded outputs have converged.
+        With d the largest change over the last w vectors and r the slowest of the latest
+        reductions of such changes, the error is d · r. The largest estimate of all w counts.
+        What lies far from the source may not have moved yet; where any of it is recorded,
+        the whole field has to converge as well, in the C-norm, which the coefficients tell.
+        Maps are looked at once all that has converged.
         """
         cheap = self.space.noise() <= NOISE_SHARE * self.problem.tolerance
         if not cheap:
             self.space.measure()
             self._outputs.clear()
+            self._coefficients.clear()
         error, rate = self._extrapolate(self._output_change)
+        if self.far:
+            error, rate = max((error, rate), self._extrapolate(self._field_change))
         if error <= self.problem.tolerance and len(self.map_lag):
             cheap = False
             error, rate = max((error, rate), self._extrapolate(self._map_change))
         return error, rate, cheap
 
     def _extrapolate(self, change: Callable[[int, int], float]) -> tuple[float, float]:
-        """Largest estimate and slowest rate, from the change between two sizes."""
+        """Largest estimate and slowest rate, from the change between two sizes.
+
+        Where there was no change before to compare with it is 1, the error of no vectors.
+        """
         size = self.space.size
         worst, slowest = 0.0, 0.0
         for width in WIDTHS:
@@ -205,16 +220,23 @@ class Growth:
                 continue
             now = change(size, size - width)
             before = change(size - width, size - 2 * width) if size > 2 * width else 1.0
-            reduction = min(1.0, now / before) if before > 0.0 else 1.0
+            seen = self._reductions.setdefault((change.__name__, width), {})
+            seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
+            reduction = max(r for when, r in seen.items() if when > size - LATE)
             worst = max(worst, CAUTION * now * reduction)
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
 
+    def _known(self, size: int) -> np.ndarray:
+        """Coefficients (l, k) of the pressure in the space's first vectors."""
+        if size not in self._coefficients:
+            self._coefficients[size] = self.space.modes(size).pressure(self.lag)
+        return self._coefficients[size]
+
     def _seen(self, size: int) -> np.ndarray:
         """Recorded outputs (l, o) of the space's first vectors."""
         if size not in self._outputs:
-            coefficients = self.space.modes(size).pressure(self.lag)
-            self._outputs[size] = self.space.outputs(coefficients) + self.direct
+            self._outputs[size] = self.space.outputs(self._known(size)) + self.direct
         return self._outputs[size]
 
     def _output_change(self, size: int, before: int) -> float:
@@ -246,6 +268,15 @@ class Growth:
         size[:, is_flow & (not problem.check_flows)] = 0.0
         return size
 
+    def _field_change(self, size: int, before: int) -> float:
+        """Largest change of the field between two sizes over the largest field, in the C-norm."""
+        now = self._known(size)
+        change = now.copy()
+        change[:, : now.shape[1] - (size - before)] -= self._known(before)
+        largest = np.linalg.norm(now, axis=1).max(initial=0.0)
+        moved = np.linalg.norm(change, axis=1).max(initial=0.0)
+        return float(moved / largest) if largest > 0.0 else 0.0
+
     def _map_change(self, size: int, before: int) -> float:
         """Largest change of a map between two sizes over the largest pressure."""
         now = self.space.modes(size).pressure(self.map_lag)
@@ -264,15 +295,36 @@ def _record(
     """Fill one source's part of the answer (in place)."""
     records, lag = problem.records, problem.lag
     alone = records.rows @ direct + records.direct[source]
-    pressure = basis.modes.pressure(lag)
-    answer.output[source] = pressure @ basis.rows.T + alone
     flows = slice(records.well_rows, records.well_rows + records.flow_rows)
-    let_in = basis.modes.integral(lag) @ basis.rows[flows].T
-    answer.cumulative[source, :, :-1] = let_in + lag[:, None] * alone[flows]
+    through = records.rows[flows] @ direct
+    given = float(problem.system.source(source).sum() + through.sum())
+    pressure, integral = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
+    answer.output[source] = pressure @ basis.rows.T + alone
+    answer.cumulative[source, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
     answer.cumulative[source, :, -1] = pressure @ basis.stored
     if len(problem.domain):
         fields = pressure @ basis.vectors.T + direct
         answer.pressure[source] = fill_map(problem, source, fields)
+
+
+def _balanced(
+    basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients (l, m) of the pressure and of its integral, which keep the volume.
+
+    The constants lie in the space, so that what the fixed pressures let in, `let_in` (m,) of
+    each vector, is what is stored less what is `given`. Behind a barrier the pressures that
+    drive it are nothing but round-off beside those before it. The smallest change in the
+    C-norm restores it.
+    """
+    pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
+    size = float(let_in @ let_in)
+    if size > 0.0:
+        missing = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
+        pressure += missing[:, None] * (let_in / size)
+        missing = pressure @ basis.stored - given * lag - integral @ let_in
+        integral += missing[:, None] * (let_in / size)
+    return pressure, integral
 
 
 def _residual(problem: Problem, source: int, basis: Basis, direct: np.ndarray) -> float:
