@@ -32,6 +32,23 @@ class Forecast(NamedTuple):
     safety_factor: float | None = None
 
 
+class Course(NamedTuple):
+    """How far the sources' own responses move within the window."""
+
+    error_rate: float  # of forward Euler, over half its step, 1/s
+    moved: float  # part of the response that does not come at once, 0 … 1
+
+
+def course(problem: Problem) -> Course:
+    """What every forecast needs to know, the worst of all sources."""
+    wells = algebraic(problem.system)
+    found = [_course(problem, k, wells) for k in problem.active_sources]
+    return Course(
+        max((one.error_rate for one in found), default=0.0),
+        max((one.moved for one in found), default=0.0),
+    )
+
+
 def _power(law: tuple[float, float], n: int) -> float:
     return law[0] * n ** law[1]
 
@@ -49,10 +66,10 @@ def _breadth(problem: Problem) -> float:
     return min(_window(problem)[2], 0.5 * math.log10(problem.system.n + 1.0) ** 1.5)
 
 
-def krylov_forecast(problem: Problem) -> Forecast:
+def krylov_forecast(problem: Problem, course: Course) -> Forecast:
     """Two factors and the vectors that the tolerance takes, which grow slowly with the network."""
     n, sources = problem.system.n, len(problem.active_sources)
-    digits = -math.log10(problem.tolerance)
+    digits = math.log10(max(1.0, course.moved / problem.tolerance))
     vectors = 3.0 + digits * (1.2 + 0.5 * _breadth(problem))
     maps = len(problem.domain) * (vectors * 1e-8 + len(problem.lag) * vectors * 4e-10)
     each = _power(SOLVE, n) + VECTOR + n * vectors * 4e-9 + len(problem.lag) * 1e-6
@@ -60,7 +77,7 @@ def krylov_forecast(problem: Problem) -> Forecast:
     return Forecast(common + sources * (vectors * each + maps))
 
 
-def implicit_forecast(problem: Problem) -> Forecast:
+def implicit_forecast(problem: Problem, course: Course) -> Forecast:
     """Steps of a fourth-order method over the decades, and a factor for each octave."""
     n, sources = problem.system.n, len(problem.active_sources)
     decades = _window(problem)[2] + 2.0
@@ -72,7 +89,7 @@ def implicit_forecast(problem: Problem) -> Forecast:
     return Forecast(common + sources * (steps * each + maps))
 
 
-def explicit_forecast(problem: Problem) -> Forecast:
+def explicit_forecast(problem: Problem, course: Course) -> Forecast:
     """Steps of forward Euler, short enough for the tolerance at every lag.
 
     With steps Δt ≪ t the response of a mode of decay rate λ is off by (Δt / 2) λt e^(−λt). A
@@ -83,11 +100,9 @@ def explicit_forecast(problem: Problem) -> Forecast:
     """
     system, lags = problem.system, len(problem.lag)
     first, last, _ = _window(problem)
-    wells = algebraic(system)
-    rate = max((_error_rate(problem, k, wells) for k in problem.active_sources), default=0.0)
-    if rate == 0.0:
+    if course.error_rate == 0.0:
         return Forecast(math.inf)
-    step = 2.0 * problem.tolerance / min(rate, EULER / first)
+    step = 2.0 * problem.tolerance / min(course.error_rate, EULER / first)
     limit = step_limit(system)
     safety = min(problem.safety_factor, 1.0, step / limit)
     steps = last / (safety * limit) + lags
@@ -96,8 +111,13 @@ def explicit_forecast(problem: Problem) -> Forecast:
     return Forecast(start + len(problem.active_sources) * march, safety)
 
 
-def _error_rate(problem: Problem, source: int, wells: Algebraic) -> float:
-    """Error of forward Euler over half its step by the modes' mean decay and share, 1/s."""
+def _course(problem: Problem, source: int, wells: Algebraic) -> Course:
+    """The modes' mean decay, by their share in the response, and that share.
+
+    At once come the pressure of a well that stores nothing and the flow from a fixed
+    pressure. Where other outputs or maps are recorded, what moves is a field that starts
+    from nothing.
+    """
     system, rhs = problem.system, problem.system.source(source)
     load = wells.reduce_source(rhs)
     start = load / system.storage[: system.pores]
@@ -106,13 +126,16 @@ def _error_rate(problem: Problem, source: int, wells: Algebraic) -> float:
     energy += system.fixed_g @ u[system.fixed_node] ** 2
     grows = float(load @ start)  # of the source's own response, per second
     if grows == 0.0:
-        return 0.0
+        return Course(0.0, 0.0)
     at_once = abs(float(rhs[system.pores :] @ wells.direct(rhs)))
+    if source < system.fixed_count:
+        at_once = abs(float(problem.records.direct[source, problem.records.well_rows + source]))
     share = min(1.0, grows * _window(problem)[1] / at_once) if at_once > 0.0 else 1.0
-    return float(energy) / grows * share
+    alone = problem.own_well(source) is not None and not len(problem.domain)
+    return Course(float(energy) / grows * share, share if alone else 1.0)
 
 
-def steady_forecast(problem: Problem) -> Forecast:
+def steady_forecast(problem: Problem, course: Course) -> Forecast:
     """One factor, one solve for each source."""
     n = problem.system.n
     each = len(problem.active_sources) * _power(SOLVE, n)

@@ -9,7 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from model.flow.choice import (
+    Course,
     Forecast,
+    course,
     explicit_forecast,
     implicit_forecast,
     krylov_forecast,
@@ -38,7 +40,7 @@ class FlowSolver(NamedTuple):
     """A way to answer a `Problem`, and what it can do."""
 
     run: Callable[[Problem], Answer]
-    forecast: Callable[[Problem], Forecast]  # its time at the wanted accuracy
+    forecast: Callable[[Problem, Course], Forecast]  # its time at the wanted accuracy
     transient: bool  # gives pressure in time; else the steady state alone
     controls_error: bool  # `tolerance` bounds its error in time
     linear_only: bool  # relies on conductances that stay as they are
@@ -96,7 +98,8 @@ def choose(method: str, problem: Problem) -> Choice:
         return Choice(method, "asked for", problem)
     transient = bool(np.isfinite(problem.lag).all())
     able = {name: s for name, s in SOLVERS.items() if s.transient == transient}
-    forecasts = {name: solver.forecast(problem) for name, solver in able.items()}
+    moves = course(problem)
+    forecasts = {name: solver.forecast(problem, moves) for name, solver in able.items()}
     best = min(forecasts, key=lambda name: forecasts[name].seconds)
     told = ", ".join(f"{name} {f.seconds:.2g} s" for name, f in forecasts.items())
     size = f"{problem.system.n} unknowns, {len(problem.lag)} lags"
