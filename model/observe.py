@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.flow.solvers import change_times, time_since
-from model.flow.wells import WellSite
+from model.flow.sites import WellSite, change_times, time_since
 from model.products import Responses
 from model.scene import InitialField, Scene, Well
 from model.transient import bourdet_derivative, flow_periods, pressure_change

@@ -8,7 +8,7 @@ from model.flow.factor import analyse, factorise, solve
 from model.network.apertures import uniform
 from model.network.connectivity import reached
 from model.outcome import ModelError
-from model.products import Apertures, Network
+from model.products import Apertures, Network, Permeability
 
 
 def permeability(network: Network, apertures: Apertures, *, viscosity: float) -> np.ndarray:
@@ -72,3 +72,13 @@ def unit_permeability(network: Network) -> np.ndarray:
     Since k ∝ w³, the permeability at any uniform aperture w is w³ times this.
     """
     return permeability(network, uniform(network, 1.0, 1.0), viscosity=1.0)
+
+
+def calibrate(network: Network) -> Permeability:
+    """Permeability of the network at an aperture of 1 m (the *calibrate* stage)."""
+    return Permeability(unit_permeability(network))
+
+
+def measure(network: Network, apertures: Apertures, *, viscosity: float) -> Permeability:
+    """Permeability of the open network (the *measure* stage)."""
+    return Permeability(permeability(network, apertures, viscosity=viscosity))

@@ -3,25 +3,21 @@
 Each stage is a pure function. Its positional arguments are the products of earlier
 stages, its keyword arguments the parts of the scene that it reads; it can read nothing
 else, which is what lets a sweep share a product between all cases that agree on them.
+
+The functions are named, and imported when they are first asked for: a sweep is planned
+without the kernels and solvers that only its workers need.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
-from model.flow.solvers import flow
-from model.mechanics.packing import pack
-from model.mechanics.strength import strength
-from model.mechanics.stress import load as stress
-from model.mechanics.stress import unit_loads
-from model.network.apertures import open_pipes as open
-from model.network.apertures import pipe_gaps
-from model.network.domains import network
 from model.observe import (
     Controls,
     active_sources,
@@ -30,7 +26,6 @@ from model.observe import (
     pressure_map,
     sites,
 )
-from model.permeability import permeability, unit_permeability
 from model.products import (
     Apertures,
     Network,
@@ -45,6 +40,15 @@ from model.quantities import MAPS
 from model.region import Region, contains
 from model.scene import MEASURED_BY_A_TEST, Bonds, Scene, joint_lines
 
+if TYPE_CHECKING:
+    from model.flow.solvers import flow
+    from model.mechanics.packing import pack
+    from model.mechanics.strength import strength
+    from model.mechanics.stress import load as stress
+    from model.mechanics.stress import unit_loads
+    from model.network.apertures import open_pipes as open
+    from model.network.domains import network
+
 __all__ = [
     "STAGES",
     "Stage",
@@ -54,7 +58,6 @@ __all__ = [
     "observe",
     "open",
     "pack",
-    "permeability",
     "simulate",
     "strength",
     "stress",
@@ -67,22 +70,26 @@ class Stage:
     """One row of the table of stages."""
 
     name: str
-    run: Callable[..., Any]
+    function: str  # where it lies, as `module:name`
     version: int  # raise it whenever the stage's results change
     parents: tuple[str, ...]  # stages whose products are the positional arguments (None if not run)
     reads: Mapping[str, Callable[[Scene], Any]]  # keyword argument -> the part of the scene
     wanted: Callable[[Scene], bool]  # whether a scene needs this stage
     product: type  # the NamedTuple it returns, or dict
 
+    @property
+    def run(self) -> Callable[..., Any]:
+        """The function; asking for it imports what it needs."""
+        module, _, name = self.function.partition(":")
+        function: Callable[..., Any] = getattr(import_module(module), name)
+        return function
 
-def calibrate(network: Network) -> Permeability:
-    """Permeability of the network at an aperture of 1 m (the *calibrate* stage)."""
-    return Permeability(unit_permeability(network))
 
-
-def measure(network: Network, apertures: Apertures, *, viscosity: float) -> Permeability:
-    """Permeability of the open network (the *measure* stage)."""
-    return Permeability(permeability(network, apertures, viscosity=viscosity))
+def __getattr__(name: str) -> Any:
+    for stage in STAGES:
+        if stage.name == name:
+            return stage.run
+    raise AttributeError(f"module 'model.stages' has no attribute {name!r}")
 
 
 def observe(
@@ -160,6 +167,8 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
     """Number of pipes of the region whose grains have parted under the stress."""
     if stress is None:
         return np.asarray(0)
+    from model.network.apertures import pipe_gaps
+
     inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
     return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
 
@@ -215,7 +224,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
-        run=pack,
+        function="model.mechanics.packing:pack",
         version=3,
         parents=(),
         reads={
@@ -236,7 +245,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="unit_loads",
-        run=unit_loads,
+        function="model.mechanics.stress:unit_loads",
         version=2,
         parents=("pack",),
         reads={
@@ -249,7 +258,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="stress",
-        run=stress,
+        function="model.mechanics.stress:load",
         version=4,
         parents=("pack", "unit_loads"),
         reads={
@@ -266,7 +275,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="strength",
-        run=strength,
+        function="model.mechanics.strength:strength",
         version=2,
         parents=("pack",),
         reads={
@@ -282,7 +291,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="network",
-        run=network,
+        function="model.network.domains:network",
         version=1,
         parents=("pack",),
         reads={"region": lambda s: s.region},
@@ -291,7 +300,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="calibrate",
-        run=calibrate,
+        function="model.permeability:calibrate",
         version=2,
         parents=("network",),
         reads={},
@@ -300,7 +309,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="open",
-        run=open,
+        function="model.network.apertures:open_pipes",
         version=1,
         parents=("network", "stress", "calibrate"),
         reads={
@@ -314,7 +323,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="measure",
-        run=measure,
+        function="model.permeability:measure",
         version=2,
         parents=("network", "open"),
         reads={"viscosity": _viscosity},
@@ -323,7 +332,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="flow",
-        run=flow,
+        function="model.flow.solvers:flow",
         version=5,
         parents=("network", "open"),
         reads=_FLOW_READS,
@@ -332,7 +341,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="reference",
-        run=flow,
+        function="model.flow.solvers:flow",
         version=2,
         parents=("network", "open"),
         reads={
@@ -347,7 +356,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="observe",
-        run=observe,
+        function="model.stages:observe",
         version=3,
         parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={

@@ -85,7 +85,8 @@ def introduce(greeting: Greeting) -> dict[str, str]:
     """Import the stages, which is no stage's time, and return the versions of this worker."""
     if greeting.parent is not None:
         _end_with(greeting.parent)
-    stage_table(greeting.table)
+    for stage in stage_table(greeting.table):
+        _ = stage.run
     return versions()
 
 

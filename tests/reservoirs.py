@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.flow.sites import WellSite
 from model.flow.solvers import flow
 from model.flow.system import System, assemble
-from model.flow.wells import WellSite
 from model.network.apertures import open_pipes
 from model.network.domains import network
 from model.observe import Controls, observe_flow, sites

@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from model.flow.problem import Answer, Problem, fill_map
+from model.flow.sites import WellSite
 from model.flow.steady import steady
 from model.flow.system import System, without_outlet
-from model.flow.wells import WellSite
 from model.outcome import ModelError
 from model.products import Network
 

@@ -23,17 +23,14 @@ from model.flow.initial import STARTS, at_rest, decaying, none_at_all, with_line
 from model.flow.krylov import krylov
 from model.flow.problem import Answer, Problem
 from model.flow.records import outputs
+from model.flow.sites import WellSite, change_times, time_since
 from model.flow.steady import steady
 from model.flow.system import assemble
-from model.flow.wells import WellSite
 from model.network.domains import domains_at
 from model.outcome import ModelError
 from model.products import Apertures, Network, Responses
 from model.region import Region
 from model.scene import Probe
-
-# Times nearer to each other than this part of them are the same time.
-ROUND_OFF = 1e-12
 
 
 class FlowSolver(NamedTuple):
@@ -122,18 +119,6 @@ def lags(times: tuple[float, ...], wells: tuple[WellSite, ...]) -> np.ndarray:
     wanted = np.concatenate([times, changes])
     lag = time_since(changes[None, :], wanted[:, None])
     return np.unique(lag[lag >= 0.0])
-
-
-def time_since(change: np.ndarray | float, times: np.ndarray) -> np.ndarray:
-    """Time since a change, s; exactly 0 where only round-off parts the two."""
-    since = times - change
-    same = np.isfinite(times) & (np.abs(since) <= ROUND_OFF * np.abs(times))
-    return np.where(same, 0.0, since)
-
-
-def change_times(wells: tuple[WellSite, ...]) -> np.ndarray:
-    """Times at which something changes: the start and every rate change, increasing, s."""
-    return np.unique([0.0, *(t for well in wells for t in well.change_times)])
 
 
 def flow(

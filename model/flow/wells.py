@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from model.flow.factor import analyse, factorise, solve
+from model.flow.sites import WellSite
 from model.network.connectivity import reached
 from model.network.domains import domains_at
 from model.outcome import ModelError
@@ -25,18 +24,6 @@ WELL_FLOOR = 0.02
 # that the inner one spans.
 MEASURED_PORES = 15.0
 FEWEST_PORES = 3.0
-
-
-class WellSite(NamedTuple):
-    """What the flow stage knows of a well: not its rate."""
-
-    name: str
-    at: tuple[float, float]  # m
-    radius: float  # m
-    fixed_pressure: bool
-    change_times: tuple[float, ...]  # s, when its rate changes
-    skin: float = 0.0  # ≥ 0; a negative one is in the radius
-    storage: float = 0.0  # m³/Pa for unit depth
 
 
 def wells_of_domains(network: Network, wells: tuple[WellSite, ...]) -> np.ndarray:

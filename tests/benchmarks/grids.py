@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from model.scene import Scene
-from tests.sweep.toy_stages import Stage
+from model.stages import Stage
 
 PROBES, TIMES = 20, 200
 
@@ -26,4 +26,4 @@ def _always(_: Scene) -> bool:
     return True
 
 
-STAGES = (Stage("observe", observe, 1, (), {"rate": _rate}, _always, dict),)
+STAGES = (Stage("observe", f"{__name__}:observe", 1, (), {"rate": _rate}, _always, dict),)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from dataclasses import fields
 
 import numpy as np
 import pytest
 
-from model.stages import Stage
 from sweep import worker
 from sweep.stages import Status
 from sweep.store import Store
@@ -104,10 +102,6 @@ def test_memory_is_bounded_and_keeps_what_was_used_last():
     memory.put("large", {"x": np.zeros(100)})
     assert memory.get("large") is None
     assert memory.size == 240
-
-
-def test_the_toy_rows_are_those_of_the_model():
-    assert [f.name for f in fields(toy_stages.Stage)] == [f.name for f in fields(Stage)]
 
 
 def test_what_would_not_fit_is_foreseen(store):

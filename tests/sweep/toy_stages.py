@@ -9,8 +9,6 @@ import ctypes
 import os
 import signal
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,23 +16,11 @@ import numpy as np
 from model.memory import foresee
 from model.outcome import ModelError
 from model.scene import Scene
+from model.stages import Stage
 
 SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
 NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
-
-
-@dataclass(frozen=True)
-class Stage:
-    """As `model.stages.Stage`, without what that module imports."""
-
-    name: str
-    run: Callable[..., Any]
-    version: int
-    parents: tuple[str, ...]
-    reads: Mapping[str, Callable[[Scene], Any]]
-    wanted: Callable[[Scene], bool]
-    product: type
 
 
 class Packed(NamedTuple):
@@ -110,17 +96,25 @@ def _loaded(scene: Scene) -> bool:
 STAGES = (
     Stage(
         "pack",
-        pack,
+        f"{__name__}:pack",
         1,
         (),
         {"count": lambda s: s.grains.count, "seed": lambda s: s.grains.seed},
         _always,
         Packed,
     ),
-    Stage("stress", stress, 1, ("pack",), {"stress": lambda s: s.stress}, _loaded, Loaded),
+    Stage(
+        "stress",
+        f"{__name__}:stress",
+        1,
+        ("pack",),
+        {"stress": lambda s: s.stress},
+        _loaded,
+        Loaded,
+    ),
     Stage(
         "flow",
-        flow,
+        f"{__name__}:flow",
         1,
         ("pack", "stress"),
         {
@@ -131,5 +125,5 @@ STAGES = (
         _always,
         Flowed,
     ),
-    Stage("observe", observe, 1, ("pack", "stress", "flow"), {}, _always, dict),
+    Stage("observe", f"{__name__}:observe", 1, ("pack", "stress", "flow"), {}, _always, dict),
 )
