@@ -227,12 +227,15 @@ def test_only_what_a_scene_needs_is_run(scene, runs):
     assert set(run_stages(scene)) == runs == {s.name for s in STAGES if s.wanted(scene)}
 
 
-def test_permeability_alone_runs_neither_stress_nor_flow(monkeypatch):
-    def refuse(*args, **kwargs):
-        raise AssertionError("this stage was not asked for")
+def refuse(*args, **kwargs):
+    raise AssertionError("this stage was not asked for")
 
+
+def test_permeability_alone_runs_neither_stress_nor_flow(monkeypatch):
     idle = [
-        dataclasses.replace(s, run=refuse) if s.name in ("stress", "flow", "calibrate") else s
+        dataclasses.replace(s, function=f"{__name__}:refuse")
+        if s.name in ("stress", "flow", "calibrate")
+        else s
         for s in STAGES
     ]
     monkeypatch.setattr(stages, "STAGES", tuple(idle))
