@@ -41,6 +41,8 @@ class Course(NamedTuple):
 
 def course(problem: Problem) -> Course:
     """What every forecast needs to know, the worst of all sources."""
+    if not math.isfinite(problem.lag[-1]):  # the steady state alone
+        return Course(0.0, 1.0)
     wells = algebraic(problem.system)
     found = [_course(problem, k, wells) for k in problem.active_sources]
     return Course(
