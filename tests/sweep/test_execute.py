@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import threading
+from contextlib import suppress
 
 import numpy as np
 import psutil
@@ -102,7 +104,7 @@ def test_the_time_of_a_case_is_that_of_all_its_stages(tmp_path):
     dataset = open_results(toys.run(path, tmp_path / "results").folder)
     assert list(dataset.status.values.ravel()) == [Status.DONE, Status.TIMED_OUT]
     message = dataset.message.values.ravel()[1]
-    assert message.startswith("flow: not done after 2 s, 1.2 s of them in earlier stages")
+    assert re.match(r"flow: not done after 2 s, 1\.[2-9]\d* s of them in earlier stages", message)
 
 
 def test_a_case_that_grows_is_stopped_at_its_memory_limit(tmp_path):
@@ -179,10 +181,11 @@ def test_workers_killed_from_outside_cost_no_case(tmp_path):
             if not list(tmp_path.glob("stormy/store/*/*.product")):
                 continue
             for process in psutil.Process(mine).children():
-                if "spawn_main" in " ".join(process.cmdline()) and len(killed) < 3:
-                    killed.append(process.pid)
-                    process.kill()
-                    break
+                with suppress(psutil.Error):  # it may have ended by itself
+                    if "spawn_main" in " ".join(process.cmdline()) and len(killed) < 3:
+                        process.kill()
+                        killed.append(process.pid)
+                        break
 
     killer = threading.Thread(target=kill_now_and_then)
     killer.start()
