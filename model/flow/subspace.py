@@ -171,6 +171,8 @@ class Subspace:
         """Project anew, from the edge differences of the basis."""
         system, m = self.system, self.count
         self._triangle = _edge_triangle(system, self._unscaled(), m)
+        # or the errors of the recurrence would grow with every further vector
+        self._projected[:m, :m] = self._triangle.T @ self._triangle
         self._space[: system.pores, :m] *= self.root[:, None]
 
     def close(self) -> Basis:

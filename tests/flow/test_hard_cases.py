@@ -168,6 +168,24 @@ def test_flow_behind_a_wall_of_1e12_is_right_to_the_last_digits():
     assert seen["well_pressure"][0] == pytest.approx(-1e-20 / through, rel=1e-9)
 
 
+@transient
+@pytest.mark.parametrize("sides", [("left",), ("left", "right")])
+def test_what_a_wall_of_1e12_lets_through_is_what_the_pores_lose(method, sides):
+    """The volume balances at every time, and the flow at the end is that of the well."""
+    wall = Trace(name="wall", transmissibility_multiplier=1e-12, start=(0.0, -1.0), end=(0.0, 1.0))
+    rock = reservoir(square_lattice(1.3, R, (R / 3, R)), BOX, 1e-5, (wall,))
+    well = (Well(name="w", at=(0.6, 0.0), radius=0.01, rate=1.0),)
+    last = 20 * LIMIT if method == "explicit" else 1e18 * LIMIT
+    times = tuple(np.geomspace(LIMIT, last, 12))
+    found = rock.respond(well, sides, times, method=method)
+    lag = found.lag
+    let_in, stored = found.cumulative[-1, :, :-1], found.cumulative[-1, :, -1]
+    np.testing.assert_allclose(let_in.sum(axis=1) - stored, lag, rtol=1e-14)
+    if method != "explicit":
+        flows = found.output[-1, -1, 1 : 1 + len(sides)]
+        assert flows.sum() == pytest.approx(1.0, rel=1e-12)
+
+
 @every
 def test_pores_cut_off_keep_the_initial_pressure_and_are_counted(method):
     """A box of sealed walls around the middle."""
