@@ -22,7 +22,9 @@ from typing import Any
 
 import numba
 from numba import njit
-from numba.core import caching
+from numba.core import caching, event
+
+from model.compilation import compilation
 
 
 def kernel(function: Callable[..., Any]) -> Any:
@@ -77,5 +79,16 @@ def _take_turns() -> None:
         setattr(files, name, locked(getattr(files, name)))
 
 
+class _Report(event.Listener):
+    """Hears of each compilation, not of what is loaded from the cache."""
+
+    def on_start(self, event: event.Event) -> None:
+        compilation.start()
+
+    def on_end(self, event: event.Event) -> None:
+        compilation.end()
+
+
 vars(numba.config)["CACHE_DIR"] = str(cache_folder())
 _take_turns()
+event.register("numba:compile", _Report())

@@ -8,6 +8,7 @@ took too long or grew too large, and nobody else is blamed.
 
 from __future__ import annotations
 
+import math
 import os
 import time
 import uuid
@@ -27,7 +28,7 @@ from sweep.schedule import Bundle, Schedule, Tally
 from sweep.stages import MODEL, Status
 from sweep.store import DamagedError, MissingError, Store
 from sweep.versions import NUMERICAL, versions
-from sweep.worker import Greeting, Job, Outcome, Task, introduce, run_job
+from sweep.worker import COMPILING, Greeting, Job, Outcome, Task, introduce, run_job
 
 if TYPE_CHECKING:
     from model.scene import Scene
@@ -37,6 +38,7 @@ AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
 LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
 LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
+COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
 HEARD_SECONDS = 20.0  # s that the first stage run waits for all workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
 GREETINGS = 3  # workers that may fail to answer in one run
@@ -49,6 +51,7 @@ class Limits:
 
     A case takes the time of all stage runs that it is made of, shared ones in full, as if
     it were alone: so it does not depend on its neighbours whether it keeps the limit.
+    Compiling kernels, which happens once on a machine, is no case's time.
     """
 
     time: float | None = None  # s
@@ -131,7 +134,7 @@ class _Flight:
 
     bundle: Bundle
     future: Future
-    begin: float  # when it became the first on its worker
+    begin: float  # when it became the first on its worker; later by what was compiled since
 
 
 class _Execution:
@@ -160,7 +163,9 @@ class _Execution:
         self.held: dict[str, set[str]] = {}  # products that a worker without a store was sent
         self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
         self.dead: dict[str, float] = {}  # when a worker died, while its address is listed still
-        self.events: SimpleQueue[tuple[str, _Flight]] = SimpleQueue()
+        self.events: SimpleQueue[tuple[str, _Flight | float | None]] = SimpleQueue()
+        self.compiling: dict[str, float] = {}  # workers that compile kernels, since when
+        pool.listen(COMPILING, lambda worker, told: self.events.put((worker, told["seconds"])))
         self.unanswered: list[tuple[str, _Flight]] = []  # answers that wait on their worker
         self.losses: dict[int, int] = {}
         self.seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
@@ -174,9 +179,9 @@ class _Execution:
         while self.schedule.pending:
             self._hand_out()
             with suppress(Empty):
-                self._take_in(*self.events.get(timeout=TICK))
+                self._hear(*self.events.get(timeout=TICK))
                 while True:
-                    self._take_in(*self.events.get_nowait())
+                    self._hear(*self.events.get_nowait())
             now = time.monotonic()
             if now - looked > TICK:
                 again, self.unanswered = self.unanswered, []
@@ -309,6 +314,15 @@ class _Execution:
         parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
         return Task(run, entry.id, stage.name, reads, parents)
 
+    def _hear(self, address: str, event: _Flight | float | None) -> None:
+        """A flight ended, or a worker compiles kernels: None from now on, or so many seconds."""
+        if isinstance(event, _Flight):
+            self._take_in(address, event)
+        elif event is None:
+            self.compiling[address] = time.monotonic()
+        elif self.compiling.pop(address, None) is not None and (line := self._line(address)):
+            line[0].begin += event
+
     def _take_in(self, address: str, flight: _Flight) -> None:
         line = self._line(address)
         if flight not in line:
@@ -424,6 +438,7 @@ class _Execution:
         self.dead[address] = time.monotonic()
         self.met.discard(address)
         self.held.pop(address, None)
+        self.compiling.pop(address, None)
         self.report.deaths += 1
         line = self.flights.pop(address, deque())
         for flight in line:
@@ -481,7 +496,8 @@ class _Execution:
 
     def _excess(self, address: str, bundle: Bundle, seconds: float) -> tuple[Status, str] | None:
         time_limit, memory_limit = self.limits.time, self.limits.memory
-        if time_limit is not None:
+        compiled = time.monotonic() - self.compiling.get(address, -math.inf)
+        if time_limit is not None and compiled > COMPILING_SECONDS:
             before = max(map(self._seconds_before, bundle.runs))
             if before + seconds > time_limit:
                 earlier = f", {before:.3g} s of them in earlier stages" if before > 0.01 else ""

@@ -63,6 +63,9 @@ class Pool(Protocol):
     ) -> Future:
         """Have a worker call a function."""
 
+    def listen(self, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
+        """Have a function called with the address and words of workers that tell something."""
+
     def kill(self, address: str) -> None:
         """End a worker, whatever it is doing; another takes its place."""
 
@@ -138,6 +141,10 @@ class LocalPool:
     ) -> Future:
         """Have a worker call a function."""
         return _submit(self.client, address, function, argument, key)
+
+    def listen(self, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
+        """Have a function called with the address and words of workers that tell something."""
+        _listen(self.client, topic, heard)
 
     def kill(self, address: str) -> None:
         """End a worker process at once; its nanny starts another."""
@@ -253,6 +260,10 @@ class RemotePool:
         """Have a worker call a function."""
         return _submit(self.client, address, function, argument, key)
 
+    def listen(self, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
+        """Have a function called with the address and words of workers that tell something."""
+        _listen(self.client, topic, heard)
+
     def kill(self, address: str) -> None:
         """Have the worker's nanny start it anew; without a nanny it is left to itself."""
         with suppress(ValueError, OSError, TimeoutError):
@@ -320,6 +331,11 @@ def _submit(
         pure=False,
         retries=0,
     )
+
+
+def _listen(client: Client, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
+    # the scheduler adds who said it
+    client.subscribe_topic(topic, lambda event: heard(event[1]["worker"], event[1]))
 
 
 def _kill(pid: int) -> None:

@@ -24,7 +24,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from distributed import get_worker
 
+from model.compilation import compilation
 from model.memory import limited
 from model.outcome import ModelError, OutOfMemory
 from model.parameters import SceneError
@@ -36,6 +38,7 @@ from sweep.versions import machine, versions
 if TYPE_CHECKING:
     from model.stages import Stage
 
+COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -85,6 +88,8 @@ def introduce(greeting: Greeting) -> dict[str, str]:
     """Import the stages, which is no stage's time, and return the versions of this worker."""
     if greeting.parent is not None:
         _end_with(greeting.parent)
+    worker = get_worker()
+    compilation.listener = lambda seconds: worker.log_event(COMPILING, {"seconds": seconds})
     for stage in stage_table(greeting.table):
         _ = stage.run
     return versions()
@@ -173,7 +178,7 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
             parents.append(build(stages[name].product, _load(held, identity)))
         except (MissingError, DamagedError) as error:
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
-    begin, cpu = time.perf_counter(), time.process_time()
+    begin, cpu = _working_time()
     meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
     try:
         product = stage.run(*parents, **task.reads)
@@ -192,8 +197,9 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
         meta["traceback"] = traceback.format_exc()
     else:
         status, message = Status.DONE, ""
-    seconds = time.perf_counter() - begin
-    meta |= {"seconds": seconds, "cpu_seconds": time.process_time() - cpu}
+    end, cpu_end = _working_time()
+    seconds = end - begin
+    meta |= {"seconds": seconds, "cpu_seconds": cpu_end - cpu}
     meta |= {"machine": machine(), "host": socket.gethostname()}
     meta |= {"worker": os.getpid(), "versions": versions()}
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
@@ -203,6 +209,14 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     size = held.put(task.id, arrays, meta)
     _memory.put(task.id, arrays)
     return Outcome(task.run, status, message, seconds, size, memory)
+
+
+def _working_time() -> tuple[float, float]:
+    """Clocks of time and processor time, s, which stand still while kernels are compiled."""
+    return (
+        time.perf_counter() - compilation.seconds,
+        time.process_time() - compilation.cpu_seconds,
+    )
 
 
 def _check_numbers(found: Mapping[str, np.ndarray]) -> None:

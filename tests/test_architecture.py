@@ -12,7 +12,8 @@ MODEL = (
     ("model.parameters",),
     ("model.region",),
     ("model.scene",),
-    ("model.outcome", "model.compile", "model.products", "model.transient"),
+    ("model.outcome", "model.compilation", "model.products", "model.transient"),
+    ("model.compile",),
     ("model.memory",),
     ("model.quantities",),
     ("model.mechanics",),
@@ -53,7 +54,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.stages": ("model.stages",),
     "sweep.plan": ("model.stages",),
     "sweep.heritage": ("model.stages",),
-    "sweep.worker": ("model.stages", "model.memory"),
+    "sweep.worker": ("model.stages", "model.memory", "model.compilation"),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),
 }

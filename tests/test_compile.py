@@ -48,7 +48,8 @@ def small_model(folder: Path) -> dict[str, str]:
     package = folder / "model"
     package.mkdir()
     (package / "__init__.py").touch()
-    shutil.copy(MODEL / "compile.py", package)
+    for name in ("compile.py", "compilation.py"):
+        shutil.copy(MODEL / name, package)
     (package / "law.py").write_text(LAW)
     (package / "caller.py").write_text(CALLER)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
@@ -71,6 +72,19 @@ def test_a_changed_law_is_never_answered_from_the_cache(tmp_path):
     assert answer(code, tmp_path, environment) == "3.0\n"
     (tmp_path / "model" / "law.py").write_text(LAW.replace("2 * x", "5 * x"))
     assert answer(code, tmp_path, environment) == "7.5\n"
+
+
+def test_the_time_of_a_compilation_is_told_and_that_of_the_cache_is_not(tmp_path):
+    environment = small_model(tmp_path)
+    code = (
+        "import time; from model.compilation import compilation as c\n"
+        "from model.caller import caller\n"
+        "told = []; c.listener = told.append; begin = time.perf_counter()\n"
+        "caller(1.5); caller(2.5)\n"
+        "print(len(told), told[1:] == [c.seconds], c.seconds < time.perf_counter() - begin)\n"
+    )
+    assert answer(code, tmp_path, environment) == "2 True True\n"
+    assert answer(code, tmp_path, environment) == "0 False True\n"
 
 
 def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):

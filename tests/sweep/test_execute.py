@@ -107,6 +107,15 @@ def test_the_time_of_a_case_is_that_of_all_its_stages(tmp_path):
     assert re.match(r"flow: not done after 2 s, 1\.[2-9]\d* s of them in earlier stages", message)
 
 
+def test_compiling_is_no_time_of_a_case(tmp_path):
+    rates = (1.0, toy_stages.COMPILES, toy_stages.COMPILES_AND_HANGS)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, limits="{time: 1 s}")
+    finished = toys.run(path, tmp_path / "results")
+    status = open_results(finished.folder).status.values.ravel()
+    assert list(status) == [Status.DONE, Status.DONE, Status.TIMED_OUT]
+    assert finished.failed == 1
+
+
 def test_a_case_that_grows_is_stopped_at_its_memory_limit(tmp_path):
     rates = (1.0, toy_stages.GROWS)
     path = toys.write_study(

@@ -49,6 +49,12 @@ def test_a_bundle_runs_in_turn_and_stores_each_product(store):
         assert meta["versions"]["numpy"] == np.__version__
 
 
+def test_compiling_is_left_out_of_the_time_of_a_stage(store):
+    outcome = run(store, *tasks(toy_stages.COMPILES))[1]
+    assert outcome.status is Status.DONE
+    assert outcome.seconds < toy_stages.COMPILING_SECONDS
+
+
 def test_from_memory_or_from_the_store_the_bits_are_the_same(store):
     run(store, *tasks())
     first = store.path(IDS["observe"])

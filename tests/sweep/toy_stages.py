@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from model.compilation import compilation
 from model.memory import foresee
 from model.outcome import ModelError
 from model.scene import Scene
@@ -21,6 +22,7 @@ from model.stages import Stage
 SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
 NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
+COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.5
 
 
 class Packed(NamedTuple):
@@ -65,6 +67,12 @@ def flow(
         raise MemoryError
     if rate == FORESEES:
         foresee("a toy", 1e8)
+    if rate in (COMPILES, COMPILES_AND_HANGS):
+        for _ in range(2):
+            with compilation.under_way(), compilation.under_way():
+                time.sleep(COMPILING_SECONDS)
+        if rate == COMPILES_AND_HANGS:
+            time.sleep(3600)
     if rate == NO_NUMBER:
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs

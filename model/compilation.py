@@ -1,0 +1,58 @@
+"""The time that a process spends compiling kernels, told apart from what it computes.
+
+A fresh machine compiles for up to a minute inside its first stage runs, which is no
+part of any case: `model.compile` reports each compilation here.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+
+class Compilation:
+    """A stopwatch that runs from the start to the end of the outermost compilation.
+
+    It counts wall-clock `seconds` and `cpu_seconds` of this process, both so far, and
+    calls `listener` with None when a compilation starts and with its seconds when it ends.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.cpu_seconds = 0.0
+        self.listener: Callable[[float | None], None] | None = None
+        self._depth = 0
+        self._begin = self._cpu = 0.0
+
+    def start(self) -> None:
+        """Begin a compilation, perhaps inside another."""
+        self._depth += 1
+        if self._depth == 1:
+            self._begin, self._cpu = time.perf_counter(), time.process_time()
+            self._tell(None)
+
+    def end(self) -> None:
+        """End the compilation that was begun last."""
+        self._depth -= 1
+        if self._depth == 0:
+            seconds = time.perf_counter() - self._begin
+            self.seconds += seconds
+            self.cpu_seconds += time.process_time() - self._cpu
+            self._tell(seconds)
+
+    @contextmanager
+    def under_way(self) -> Iterator[None]:
+        """Count what runs inside as compilation."""
+        self.start()
+        try:
+            yield
+        finally:
+            self.end()
+
+    def _tell(self, seconds: float | None) -> None:
+        if self.listener is not None:
+            self.listener(seconds)
+
+
+compilation = Compilation()
