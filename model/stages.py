@@ -333,7 +333,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=5,
+        version=6,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -342,7 +342,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="model.flow.solvers:flow",
-        version=2,
+        version=3,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

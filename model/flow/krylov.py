@@ -29,7 +29,7 @@ from model.outcome import ModelError
 MOST_VECTORS = 300
 
 # The reduction of the error is not even; the estimate is taken this much larger.
-CAUTION = 2.5
+CAUTION = 2.0
 
 # Vectors over which changes are taken: the estimate is the worst of them.
 WIDTHS = (1, 2, 3)
@@ -46,7 +46,7 @@ ABOVE, SLOPE = 3.0, 0.25
 LADDER = 4.0
 
 # An estimate is at least this part of the one before: on a stair little changes.
-FALL = 0.03
+FALL = 0.1
 
 # Round-off that the projection may have, of the tolerance; what is found is a tenth of it.
 NOISE_SHARE = 0.5
@@ -211,12 +211,13 @@ class Growth:
     def _extrapolate(self, change: Callable[[int, int], float]) -> tuple[float, float]:
         """Largest estimate and slowest rate, from the change between two sizes.
 
-        Where there was no change before to compare with it is 1, the error of no vectors.
+        Only the narrowest goes without a change before; that is 1 then, the error of no
+        vectors. Wider ones would make loose tolerances a hundred times too tight.
         """
         size = self.space.size
         worst, slowest = 0.0, 0.0
         for width in WIDTHS:
-            if size <= width:
+            if size <= (width if width == WIDTHS[0] else 2 * width):
                 continue
             now = change(size, size - width)
             before = change(size - width, size - 2 * width) if size > 2 * width else 1.0
