@@ -16,12 +16,11 @@ from model.mechanics.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
 from model.mechanics.grains import Array, at_rest, scaled_mass
 from model.mechanics.packing import hydrostatic
 from model.mechanics.stress import DAMPING, straight_path
-from model.scene import Rectangle
-from model.stages import pack
 from tests.benchmarks.result import Result
+from tests.benchmarks.steps import rock
 from tests.peers.yade import run_in_yade
 
-GRAINS, SOLID = 3850, 0.75  # some 5,000 discs with those around the region
+GRAINS, SOLID = 5000, 0.75
 PRESSURE, FRICTION, STIFFNESS_RATIO = 1e-3, 0.5, 2.5
 STOP = Stop(ratio=1e-3, stress=1e-2)
 GOALS = np.array([(1.0, 1.0), (1.2, 1.2), (1.3, 1.1), (1.6, 0.8)]) * PRESSURE
@@ -31,15 +30,7 @@ BOUNDS = (40.0, 20.0, 10.0, 5.0)
 
 def loose_discs(count: int) -> tuple[Array, Array, Array, Array]:
     """Discs (x, y, radius) of mean radius 1 that do not touch, and the box around them."""
-    packing = pack(
-        region=Rectangle(1.0, 1.0),
-        count=count,
-        mean_radius=None,
-        packing="random",
-        radius_ratio=1.66,
-        porosity=0.165,
-        seed=1,
-    )
+    packing = rock(count)
     unit = packing.radius.mean()
     x, y, radius = packing.x / unit, packing.y / unit, packing.radius / unit
     box = packing.box / unit

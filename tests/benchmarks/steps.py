@@ -28,7 +28,7 @@ SHRUNK = 0.2
 @cache
 def rock(count: int) -> Packing:
     """A random packing of about so many discs in all, margin included."""
-    inner = round((np.sqrt(count) - 16.0) ** 2) if count > 2000 else count // 3
+    inner = round((np.sqrt(count) - 9.2) ** 2) if count > 2000 else count // 3
     return pack(
         region=Rectangle(1.0, 1.0),
         count=inner,
