@@ -1,23 +1,36 @@
 """Run the checks: all of them, or those named.
 
-Each check is a module of this folder with a docstring and `run() -> Result`. A single
-check prints its details, then its figure and bound; all of them print one line each and
-write docs/benchmarks.md. The exit status is 0 only where every bound holds.
+Each check is a module of this folder with a docstring and `run() -> Result`. Those that are
+named print their details, then figure and bound; all of them print one line each and are kept in
+docs/benchmarks.json, of which docs/benchmarks.md is the readable form. `--keep` keeps those that
+are named, too: each row of the page then has the day on which it was measured. The exit status
+is 0 only where every bound holds.
 """
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import pkgutil
-import platform
 import sys
+import traceback
 from pathlib import Path
 
+from tests.benchmarks import page
 from tests.benchmarks.result import Result
 
 FOLDER = Path(__file__).parent
-HELPERS = ("__main__", "contrasts", "grids", "ran", "result", "specimens", "steps", "sweeps")
-PAGE = FOLDER.parents[1] / "docs" / "benchmarks.md"
+HELPERS = (
+    "__main__",
+    "contrasts",
+    "grids",
+    "page",
+    "ran",
+    "result",
+    "specimens",
+    "steps",
+    "sweeps",
+)
 
 
 def names() -> list[str]:
@@ -29,45 +42,34 @@ def names() -> list[str]:
 def run(name: str) -> tuple[str, Result]:
     """Run one check; its first docstring line says what it shows."""
     module = importlib.import_module(f"tests.benchmarks.{name}")
-    return (module.__doc__ or name).strip().splitlines()[0], module.run()
+    title = (module.__doc__ or name).strip().splitlines()[0]
+    try:
+        return title, module.run()
+    except Exception as error:  # the other checks go on
+        told = traceback.format_exc()
+        return title, Result(f"did not run: {type(error).__name__}", "to run", False, told)
 
 
-def main(asked: list[str]) -> int:
+def main(arguments: list[str]) -> int:
     """Run the checks and report."""
-    unknown = [name for name in asked if name not in names()]
+    parser = argparse.ArgumentParser(prog="tests.benchmarks", description="Run checks.")
+    parser.add_argument("names", nargs="*", metavar="NAME")
+    parser.add_argument("--keep", action="store_true", help="keep the results in the docs")
+    asked = parser.parse_args(arguments)
+    unknown = [name for name in asked.names if name not in names()]
     if unknown:
         print(f"no check named {', '.join(unknown)}; there are: {', '.join(names())}")
         return 2
-    rows = []
-    for name in asked or names():
+    hold = True
+    for name in asked.names or names():
         title, result = run(name)
-        if asked:
+        if asked.names:
             print(result.details)
         print(f"{name}: {result.line}", flush=True)
-        rows.append((name, title, result))
-    if not asked:
-        write_page(rows)
-    return 0 if all(result.holds for _, _, result in rows) else 1
-
-
-def write_page(rows: list[tuple[str, str, Result]]) -> None:
-    """Write the table of all checks and the details of each."""
-    lines = [
-        "# Measured claims",
-        "",
-        "Written by `make bench`; `make bench NAME=…` repeats one of them. Times depend on the "
-        f"machine, here {platform.machine()} with Python {platform.python_version()}.",
-        "",
-        "| check | shows | figure | bound | |",
-        "|---|---|---|---|---|",
-    ]
-    for name, title, result in rows:
-        verdict = "holds" if result.holds else "**falls short**"
-        lines.append(f"| `{name}` | {title} | {result.figure} | {result.bound} | {verdict} |")
-    for name, title, result in rows:
-        lines += ["", f"## {name}", "", title, "", "```", result.details.rstrip(), "```"]
-    PAGE.parent.mkdir(exist_ok=True)
-    PAGE.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        if asked.keep or not asked.names:
+            page.keep(name, title, result, names())
+        hold &= result.holds
+    return 0 if hold else 1
 
 
 if __name__ == "__main__":
