@@ -22,9 +22,12 @@ from typing import TYPE_CHECKING, Any
 
 from distributed import Future, KilledWorker
 
-from sweep.pools import LocalPool, Pool, RemotePool, RunError, SchedulerError, uninterrupted
+from sweep.pools import Pool, RunError, SchedulerError
+from sweep.pools.local import LocalPool
+from sweep.pools.remote import RemotePool
 from sweep.progress import Progress
 from sweep.schedule import Bundle, Schedule, Tally
+from sweep.signals import uninterrupted
 from sweep.stages import MODEL, Status
 from sweep.store import DamagedError, MissingError, Store
 from sweep.versions import NUMERICAL, versions

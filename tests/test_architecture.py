@@ -25,7 +25,14 @@ MODEL = (
 # The study and its cases are read without the model's machinery; what runs comes after, and
 # what is made of results reads no stage.
 SWEEP = (
-    ("sweep.units", "sweep.yaml_source", "sweep.lock", "sweep.progress", "sweep.versions"),
+    (
+        "sweep.units",
+        "sweep.yaml_source",
+        "sweep.lock",
+        "sweep.progress",
+        "sweep.signals",
+        "sweep.versions",
+    ),
     ("sweep.grammar",),
     ("sweep.blocks", "sweep.smoke"),
     ("sweep.scene_grammar",),
@@ -61,8 +68,14 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
 DOORS = {  # outer library: the only rooms that may import it
     "numba": {"model.compile"},
     "qdldl": {"model.mechanics.stiffness"},
-    "dask": {"sweep.pools"},
-    "distributed": {"sweep.execute", "sweep.pools", "sweep.worker"},
+    "dask": {"sweep.pools.local", "sweep.pools.remote"},
+    "distributed": {
+        "sweep.execute",
+        "sweep.pools",
+        "sweep.pools.local",
+        "sweep.pools.remote",
+        "sweep.worker",
+    },
     "netCDF4": {"sweep.collect", "sweep.results"},
     "ruamel": {"sweep.yaml_source"},
 }

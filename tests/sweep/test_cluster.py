@@ -98,7 +98,7 @@ def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
 
 
 def test_a_scheduler_that_dies_ends_the_run_and_what_was_finished_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.pools.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("sweep.pools.remote.CONNECT_SECONDS", 1)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES, seconds=0.5)
     with dask_cluster(tmp_path / "processes", workers=1) as cluster:
 
@@ -190,7 +190,7 @@ def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(c
 
 
 def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sweep.pools.CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("sweep.pools.remote.CONNECT_SECONDS", 0.5)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     place = ("--results", str(tmp_path / "results"))
     for address in ("tcp://127.0.0.1:1", "nonsense", "ftp://127.0.0.1:1"):

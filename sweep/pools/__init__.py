@@ -1,0 +1,68 @@
+"""Where the jobs of a run go: worker processes of this machine, or a Dask cluster.
+
+`sweep.execute` decides what runs where and when; a pool starts the workers or finds
+them, carries one job at a time to a worker of its choice, and ends it when told to.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+from distributed import Client, Future
+
+
+class RunError(RuntimeError):
+    """The run as a whole cannot go on; what was finished is stored."""
+
+
+class SchedulerError(RunError):
+    """The workers that were named cannot be used; nothing was run."""
+
+
+class Pool(ABC):
+    """Workers, wherever they are."""
+
+    client: Client
+    shares_store: bool  # whether they see the client's store; products travel otherwise
+    parent: int | None  # process with which they end; None: they were there before
+
+    @abstractmethod
+    def addresses(self) -> set[str]:
+        """Workers that are there. Raises RunError where none can be had."""
+
+    @abstractmethod
+    def unfit(self, address: str) -> str | None:
+        """Why a worker must not be sent a job, None where it may."""
+
+    @abstractmethod
+    def kill(self, address: str) -> None:
+        """End a worker, whatever it is doing; another takes its place."""
+
+    @abstractmethod
+    def memory(self, address: str) -> float:
+        """Resident memory of a worker in bytes, 0 where it cannot be seen."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Leave no process and no connection behind."""
+
+    def submit(
+        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
+    ) -> Future:
+        """Have a worker call a function."""
+        return self.client.submit(
+            function,
+            argument,
+            key=key,
+            workers=[address],
+            allow_other_workers=False,
+            pure=False,
+            retries=0,
+        )
+
+    def listen(self, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
+        """Have a function called with the address and words of workers that tell something."""
+        # the scheduler adds who said it
+        self.client.subscribe_topic(topic, lambda event: heard(event[1]["worker"], event[1]))
