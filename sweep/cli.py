@@ -58,19 +58,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _foreseen(error: Exception) -> int | None:
     """Exit status of an error that is not a mistake of this program, None for one that is."""
+    from sweep.errors import RunError, SchedulerError
     from sweep.lock import LockedError
     from sweep.store import StoreError
 
-    if isinstance(error, LockedError | StoreError):
+    if isinstance(error, LockedError | StoreError | SchedulerError):
         return WRONG
-    if isinstance(error, OSError):  # no space, no permission: what was finished is kept
+    if isinstance(error, OSError | RunError):  # no space, no workers: what was finished is kept
         return SOME_FAILED
-    pools = sys.modules.get("sweep.pools")
     results = sys.modules.get("sweep.results")
-    if pools is not None and isinstance(error, pools.SchedulerError):
-        return WRONG
-    if pools is not None and isinstance(error, pools.RunError):
-        return SOME_FAILED
     if results is not None and isinstance(error, results.ResultsError):
         return WRONG
     return None

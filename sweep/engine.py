@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
     from model.scene import Scene
     from sweep.collect import Verdict
-    from sweep.execute import Executed
+    from sweep.ledger import Executed
 
 __all__ = ["Finished", "LockedError", "Prepared", "StoreError", "prepare", "run", "run_study"]
 
@@ -338,9 +338,8 @@ def _execute(
     if not schedule.pending:
         return None
     # Dask is imported only where something must run
-    from sweep.execute import Limits, execute
+    from sweep.execute import execute
 
-    limits = Limits(prepared.study.limits.time, prepared.study.limits.memory)
     try:
         return execute(
             schedule,
@@ -349,7 +348,7 @@ def _execute(
             table=table,
             workers=workers,
             scheduler=scheduler,
-            limits=limits,
+            limits=prepared.study.limits,
             progress=progress,
             anew=force,
         )

@@ -51,7 +51,11 @@ RESERVED_NAMES = ("store",)  # results/store holds the products of all studies
 
 @dataclass(frozen=True)
 class Limits:
-    """What one case may take before it is stopped and counted as failed."""
+    """What one case may take before it is stopped and counted as failed; None: no limit.
+
+    Memory is that of the worker that is at it. Compiling kernels, which happens once on a
+    machine, is no case's time.
+    """
 
     time: float | None = parameter("s", default=None, above=0, help="time limit of a case")
     memory: float | None = parameter("B", default=None, above=0, help="memory limit of a case")

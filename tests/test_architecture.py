@@ -25,14 +25,8 @@ MODEL = (
 # The study and its cases are read without the model's machinery; what runs comes after, and
 # what is made of results reads no stage.
 SWEEP = (
-    (
-        "sweep.units",
-        "sweep.yaml_source",
-        "sweep.lock",
-        "sweep.progress",
-        "sweep.signals",
-        "sweep.versions",
-    ),
+    ("sweep.units", "sweep.yaml_source", "sweep.versions"),
+    ("sweep.lock", "sweep.signals", "sweep.progress", "sweep.errors"),
     ("sweep.grammar",),
     ("sweep.blocks", "sweep.smoke"),
     ("sweep.scene_grammar",),
@@ -45,7 +39,7 @@ SWEEP = (
     ("sweep.plan", "sweep.worker"),
     ("sweep.cost", "sweep.heritage"),
     ("sweep.schedule",),
-    ("sweep.pools",),
+    ("sweep.pools", "sweep.limits", "sweep.jobs", "sweep.ledger"),
     ("sweep.execute", "sweep.collect"),
     ("sweep.results",),
     ("sweep.analysis",),

@@ -13,14 +13,6 @@ from typing import Any
 from distributed import Client, Future
 
 
-class RunError(RuntimeError):
-    """The run as a whole cannot go on; what was finished is stored."""
-
-
-class SchedulerError(RunError):
-    """The workers that were named cannot be used; nothing was run."""
-
-
 class Pool(ABC):
     """Workers, wherever they are."""
 

@@ -15,7 +15,8 @@ import psutil
 from distributed import Client, LocalCluster
 from distributed.core import Status as ServerStatus
 
-from sweep.pools import Pool, RunError
+from sweep.errors import RunError
+from sweep.pools import Pool
 from sweep.signals import signals_kept_for_later
 
 START_ATTEMPTS = 6  # to start a first worker, should it be killed meanwhile

@@ -11,7 +11,8 @@ import dask
 from distributed import Client
 from distributed.security import Security
 
-from sweep.pools import Pool, RunError, SchedulerError
+from sweep.errors import RunError, SchedulerError
+from sweep.pools import Pool
 
 CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
 

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from sweep import worker
-from sweep.pools import RunError, SchedulerError
+from sweep.errors import RunError, SchedulerError
 from sweep.stages import Status
 from sweep.store import Store, pack, unpack
 from sweep.worker import Job, Task, run_job

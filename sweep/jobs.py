@@ -1,0 +1,91 @@
+"""What a worker is sent: stage runs with all that they read, and parents where they travel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from sweep.plan import Plan
+from sweep.store import DamagedError, MissingError, Store
+from sweep.worker import Job, Task
+
+if TYPE_CHECKING:
+    from model.scene import Scene
+
+
+class ParentLostError(Exception):
+    """A product that a run is to be sent is missing or damaged."""
+
+    def __init__(self, run: int, identity: str, message: str):
+        super().__init__(message)
+        self.run, self.identity = run, identity
+
+
+class Jobs:
+    """Makes the jobs of a plan.
+
+    Parameters
+    ----------
+    plan, store : what there is to run, and where products lie.
+    scene_of : the scene of a case by its index in the plan.
+    table : where the table of stages lies, as `module:name`.
+    memory : bytes that a worker may come to, None: no limit.
+    travel : whether products travel, since workers do not see the store.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        store: Store,
+        scene_of: Callable[[int], Scene],
+        table: str,
+        memory: float | None,
+        travel: bool,
+    ):
+        self.plan, self.store, self.scene_of = plan, store, scene_of
+        self.table, self.memory, self.travel = table, memory, travel
+        self._held: dict[str, set[str]] = {}  # products that a worker without a store was sent
+
+    def make(self, address: str, runs: tuple[int, ...]) -> Job:
+        """The job of some runs for a worker. Raises ParentLostError."""
+        tasks = tuple(map(self._task, runs))
+        if not self.travel:
+            return Job(str(self.store.root.resolve()), self.table, tasks, memory=self.memory)
+        return Job(None, self.table, tasks, self._files_for(address, tasks), self.memory)
+
+    def send_again(self, address: str, identity: str) -> bool:
+        """Have a product go along the next time; False where the worker was not sent it.
+
+        A worker drops what it has not used for long, and then says that it lost it.
+        """
+        held = self._held.get(address, set())
+        known = identity in held
+        held.discard(identity)
+        return known
+
+    def forget(self, address: str) -> None:
+        """A worker holds nothing any more."""
+        self._held.pop(address, None)
+
+    def _task(self, run: int) -> Task:
+        entry, stage = self.plan.runs[run], self.plan.stage_of(run)
+        scene = self.scene_of(entry.case)
+        reads = {name: read(scene) for name, read in stage.reads.items()}
+        parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
+        return Task(run, entry.id, stage.name, reads, parents)
+
+    def _files_for(self, address: str, tasks: tuple[Task, ...]) -> dict[str, bytes]:
+        """Parents that a worker has not been sent yet."""
+        held = self._held.setdefault(address, set())
+        held.update(task.id for task in tasks)
+        files: dict[str, bytes] = {}
+        for task in tasks:
+            for parent in task.parents:
+                if parent is None or parent in held:
+                    continue
+                try:
+                    files[parent] = self.store.content(parent)
+                except (MissingError, DamagedError) as error:
+                    raise ParentLostError(task.run, parent, str(error)) from error
+        held.update(files)
+        return files

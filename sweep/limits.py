@@ -1,0 +1,66 @@
+"""Whether a case takes more time or memory than its study allows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from sweep.plan import Plan
+from sweep.stages import Status
+from sweep.store import DamagedError, MissingError, Store
+from sweep.study import Limits
+
+Excess = tuple[Status, str]  # how a run ends that takes too much, and why
+
+
+class Judge:
+    """Holds runs against the limits of a case.
+
+    A case takes the time of all stage runs that it is made of, shared ones in full, as if
+    it were alone: so it does not depend on its neighbours whether it keeps the limit.
+    """
+
+    def __init__(self, plan: Plan, store: Store, limits: Limits):
+        self.plan, self.store, self.limits = plan, store, limits
+        self._seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
+
+    def of_time(self, runs: Iterable[int], seconds: float) -> Excess | None:
+        """Whether runs that are not done after so many seconds take too long."""
+        limit = self.limits.time
+        if limit is None:
+            return None
+        before = max(map(self._seconds_before, runs))
+        if before + seconds <= limit:
+            return None
+        earlier = f", {before:.3g} s of them in earlier stages" if before > 0.01 else ""
+        return Status.TIMED_OUT, (
+            f"not done after {limit:g} s{earlier}, the study's limits.time; "
+            "raise it, or make the case smaller"
+        )
+
+    def of_memory(self, held: float) -> Excess | None:
+        """Whether a worker of so many bytes holds too many."""
+        limit = self.limits.memory
+        if limit is None or held <= limit:
+            return None
+        return Status.OUT_OF_MEMORY, (
+            f"more than {limit / 1e9:.3g} GB, the study's limits.memory; "
+            "raise it, or make the case smaller"
+        )
+
+    def _seconds_before(self, run: int) -> float:
+        """What the runs that a run builds on took, s."""
+        ancestors: set[int] = set()
+        stack = [run]
+        while stack:
+            parents = {p for p in self.plan.runs[stack.pop()].parents if p >= 0}
+            stack += parents - ancestors
+            ancestors |= parents
+        return sum(map(self._seconds_of, ancestors))
+
+    def _seconds_of(self, run: int) -> float:
+        if run not in self._seconds:
+            try:
+                self._seconds[run] = self.store.meta(self.plan.runs[run].id)["seconds"]
+            except (MissingError, DamagedError):
+                return 0.0  # being computed in the same bundle; or the worker will miss it too
+        return self._seconds[run]
