@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from model.scene import Scene
-    from sweep.collect import Verdict
+    from sweep.dataset.verdict import Verdict
     from sweep.ledger import Executed
 
 __all__ = ["Finished", "LockedError", "Prepared", "StoreError", "prepare", "run", "run_study"]
@@ -67,7 +67,7 @@ class Prepared:
 
     def verdicts(self) -> list[Verdict]:
         """How each case stands, (cases,)."""
-        from sweep.collect import verdict
+        from sweep.dataset.verdict import verdict
 
         stored = self.stored()
         every = range(len(self.plan.cases))
@@ -412,7 +412,8 @@ def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
     The study file is kept beside it, so that a case can be opened without the original.
     """
     # netCDF and xarray are imported only where they are needed
-    from sweep.collect import collect, collected_digest
+    from sweep.collect import collect
+    from sweep.dataset.file import collected_digest
 
     study, plan = prepared.study, prepared.plan
     verdicts = prepared.verdicts()

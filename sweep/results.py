@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from model.quantities import COORDINATES, MAPS
 from model.scene import Scene
 from sweep.cases import case_at, coordinates
-from sweep.collect import CONVENTIONS, COORDINATES, MAPS, quantity_attributes
+from sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from sweep.plan import make_plan
 from sweep.stages import MODEL, case_maps, stage_table
 from sweep.store import MissingError, Store

@@ -9,7 +9,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 
-from sweep.collect import dataset_problem
+from sweep.dataset.file import dataset_problem
 from sweep.engine import DATASET_FILE, STUDY_FILE, UNFINISHED_FILE, planned
 from sweep.lock import FolderLock
 from sweep.stages import MODEL

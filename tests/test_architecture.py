@@ -39,7 +39,7 @@ SWEEP = (
     ("sweep.plan", "sweep.worker"),
     ("sweep.cost", "sweep.heritage"),
     ("sweep.schedule",),
-    ("sweep.pools", "sweep.limits", "sweep.jobs", "sweep.ledger"),
+    ("sweep.pools", "sweep.limits", "sweep.jobs", "sweep.ledger", "sweep.dataset"),
     ("sweep.execute", "sweep.collect"),
     ("sweep.results",),
     ("sweep.analysis",),
@@ -70,7 +70,7 @@ DOORS = {  # outer library: the only rooms that may import it
         "sweep.pools.remote",
         "sweep.worker",
     },
-    "netCDF4": {"sweep.collect", "sweep.results"},
+    "netCDF4": {"sweep.collect", "sweep.dataset.file", "sweep.dataset.writer"},
     "ruamel": {"sweep.yaml_source"},
 }
 

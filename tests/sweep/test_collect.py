@@ -18,7 +18,8 @@ from hypothesis import strategies as st
 
 from model.quantities import CASE, SWEEP
 from sweep import collect as collect_module
-from sweep.collect import _tiles, collected_digest
+from sweep.dataset.file import collected_digest
+from sweep.dataset.tiles import tiles
 from sweep.engine import prepare
 from sweep.results import open_results
 from sweep.stages import Status
@@ -29,7 +30,7 @@ from tests.sweep import toy_stages, toys
 def test_tiles_cut_the_cases_into_blocks_that_fit(shape, most):
     seen = np.zeros(shape, dtype=int)
     order = np.arange(math.prod(shape)).reshape(shape)
-    for tile in _tiles(shape, most):
+    for tile in tiles(shape, most):
         assert len(tile.cases) == math.prod(tile.shape) <= most or not shape
         assert list(order[tile.at].ravel()) == list(tile.cases)
         seen[tile.at] += 1

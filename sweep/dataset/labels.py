@@ -1,0 +1,72 @@
+"""What labels the numbers of a dataset: times, and names of wells, sides and probes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from model.quantities import Quantity
+from model.scene import Scene
+from sweep.plan import Plan
+
+CONVENTIONS = "CF-1.11"
+FIXED = {"row": ("x", "y"), "column": ("x", "y"), "component": ("xx", "yy", "xy")}
+
+
+def quantity_attributes(quantity: Quantity) -> dict[str, str | float]:
+    """CF attributes of a quantity; what is a name has no unit."""
+    unit = {"units": quantity.unit} if quantity.unit else {}
+    comment = {"comment": quantity.comment} if quantity.comment else {}
+    return {**unit, "long_name": quantity.long_name, **comment, **dict(quantity.constants)}
+
+
+class Layout(NamedTuple):
+    """What a case has along the dimensions of the dataset."""
+
+    times: tuple[float, ...]  # s
+    names: dict[str, tuple[str, ...]]  # dimension -> names, in the order of the stages' results
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Coordinates of the dataset that the scenes give: times, and names of things."""
+
+    times: np.ndarray  # (times,) s, of all cases
+    names: dict[str, dict[str, tuple[float, float]]]  # dimension -> name -> place
+    observed: tuple[str, ...]
+    seeds: tuple[int, ...]
+    layouts: list[Layout]  # the different ones
+    layout_of: np.ndarray  # (cases,) index of each case's own; −1 where it cannot be
+
+
+def labels_of(plan: Plan, scene_of: Callable[[int], Scene]) -> Labels:
+    """What all scenes together name. Cases may differ in times, wells, sides and probes."""
+    names: dict[str, dict[str, tuple[float, float]]] = {"well": {}, "boundary": {}, "probe": {}}
+    observed: dict[str, None] = {}
+    seeds: set[int] = set()
+    layouts: dict[tuple[Any, ...], int] = {}
+    layout_of = np.full(len(plan.cases), -1, dtype=np.int32)
+    for case in range(len(plan.cases)):
+        if case in plan.impossible:
+            continue
+        scene = scene_of(case)
+        observed |= dict.fromkeys(scene.observe)
+        seeds.add(scene.grains.seed)
+        own = {
+            "well": {well.name: well.at for well in scene.wells},
+            "boundary": {side: (math.nan, math.nan) for side, _ in scene.boundaries},
+            "probe": {probe.name: probe.at for probe in scene.probes},
+        }
+        for dimension, places in own.items():
+            for name, at in places.items():
+                names[dimension].setdefault(name, at)
+        key = (scene.times, *(tuple(places) for places in own.values()))
+        layout_of[case] = layouts.setdefault(key, len(layouts))
+    times = {key[0] for key in layouts}
+    every = np.unique(np.concatenate([np.array(t, dtype=float) for t in times] or [np.empty(0)]))
+    found = [Layout(key[0], dict(zip(names, key[1:], strict=True))) for key in layouts]
+    return Labels(every, names, tuple(observed), tuple(sorted(seeds)), found, layout_of)

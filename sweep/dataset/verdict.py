@@ -1,0 +1,37 @@
+"""How each case stands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sweep.plan import Plan
+from sweep.stages import Status
+from sweep.store import Store
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How a case ended."""
+
+    status: Status
+    message: str = ""
+
+
+def verdict(plan: Plan, store: Store, stored: np.ndarray, case: int) -> Verdict:
+    """How a case stands: done where all its products are there, else the first that is not.
+
+    `stored` tells which runs of the plan have their product, (runs,) bool.
+    """
+    if case in plan.impossible:
+        return Verdict(Status.FAILED, plan.impossible[case])
+    for run in plan.case_runs(case):
+        if stored[run]:
+            continue
+        failure = store.failure(plan.runs[run].id)
+        if failure is not None:
+            stage = plan.stage_of(run).name
+            return Verdict(Status(failure["status"]), f"{stage}: {failure['message']}")
+        return Verdict(Status.NOT_RUN, "not run yet; `demflow run` computes it")
+    return Verdict(Status.DONE)

@@ -1,0 +1,235 @@
+"""The layout of a dataset in netCDF, with CF metadata, and the numbers put in their places."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import netCDF4
+import numpy as np
+
+from model.quantities import CASE, COORDINATES, SWEEP, Quantity
+from sweep.cases import Coordinate, coordinates
+from sweep.dataset.labels import CONVENTIONS, FIXED, Labels, Layout, quantity_attributes
+from sweep.dataset.tiles import Tile
+from sweep.dataset.verdict import Verdict
+from sweep.plan import Plan
+from sweep.stages import Status
+from sweep.study import Study
+from sweep.versions import installed
+
+TEXT = str  # netCDF-4 strings
+
+
+@dataclass
+class Writer:
+    """Fills the file, tile by tile."""
+
+    file: netCDF4.Dataset
+    study: Study
+    labels: Labels
+    stages: tuple[str, ...]  # those that some case runs
+    blocks: dict[str, np.ndarray] = field(default_factory=dict)  # variable -> (cases of tile, …)
+
+    def __post_init__(self) -> None:
+        self.places: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
+        self.axes = tuple(axis.name for axis in self.study.axes)
+        for axis in self.study.axes:
+            self.file.createDimension(axis.name, len(axis.values))
+            for coordinate in coordinates(axis):
+                self._axis_coordinate(axis.name, coordinate)
+        self._status()
+        for name, quantity in SWEEP.items():
+            unasked = quantity.needs and not set(quantity.needs) & set(self.labels.observed)
+            if not unasked and (self.stages or "stage" not in quantity.dimensions):
+                self._variable(name, quantity)
+        for name, quantity in CASE.items():
+            # what was asked for is there, be it NaN in every case
+            timeless = quantity.transient and len(self.labels.times) == 0
+            if set(quantity.needs) & set(self.labels.observed) and not timeless:
+                self._variable(name, quantity)
+
+    def begin(self, tile: Tile) -> None:
+        """Take the next cases."""
+        self.tile = tile
+        self.status = np.zeros(len(tile.cases), dtype=np.int8)
+        self.message = _blank((len(tile.cases),))
+        self.blocks = {}
+
+    def add(self, case: int, arrays: Mapping[str, np.ndarray]) -> None:
+        """Take the numbers of one case."""
+        for name, array in arrays.items():
+            if CASE[name].text:
+                self._block(name, CASE[name])[case - self.tile.cases.start] = str(array)
+                continue
+            target = self._block(name, CASE[name])[case - self.tile.cases.start, ...]
+            where = self._where(name, int(self.labels.layout_of[case]))
+            _place(target, np.asarray(array, dtype=float), where)
+
+    def end_case(self, case: int, ended: Verdict, spent: Mapping[str, np.ndarray]) -> None:
+        """Take how a case ended, and the times that it took."""
+        k = case - self.tile.cases.start
+        self.status[k], self.message[k] = int(ended.status), ended.message
+        for name, seconds in spent.items():
+            if name in self.file.variables:
+                self._block(name, SWEEP[name])[k] = seconds
+
+    def _block(self, name: str, quantity: Quantity) -> np.ndarray:
+        """Room for a variable in the cases of the tile."""
+        if name not in self.blocks:
+            sizes = self._variable(name, quantity).shape[len(self.axes) :]
+            shape = (len(self.tile.cases), *sizes)
+            self.blocks[name] = _blank(shape) if quantity.text else np.full(shape, np.nan)
+        return self.blocks[name]
+
+    def flush(self) -> None:
+        """Write the cases that were taken."""
+        at, shape = self.tile.at, self.tile.shape
+        for name, block in {**self.blocks, "message": self.message}.items():
+            # netCDF4 takes a single string only at a bare ellipsis
+            place = (*at, ...) if shape or block.dtype != object else ...
+            self.file[name][place] = block.reshape(shape + block.shape[1:])
+        self.file["status"][(*at, ...)] = self.status.reshape(shape)
+
+    def describe(self, plan: Plan, digest: str, origins: Mapping[str, set[str]]) -> None:
+        """Write what the dataset is, where it comes from, and what made it."""
+        study = self.study
+        now = datetime.now(UTC).isoformat(timespec="seconds")
+        made_by = {name: ", ".join(sorted(met)) for name, met in sorted(origins.items())}
+        counted = zip(plan.stages, plan.counts(), strict=True)
+        attributes = {
+            "Conventions": CONVENTIONS,
+            "title": study.title,
+            "history": f"{now} demflow {installed('demflow')}: collected from stored stage runs",
+            "source": "demflow: distinct-element packing and pore-network flow in two dimensions",
+            "study": study.name,
+            "study_text": study.text,
+            "study_sha256": study.sha256,
+            "study_smoke": "yes" if study.smoke else "no",
+            "seed": ", ".join(map(str, self.labels.seeds)),
+            "demflow_digest": digest,
+            "stage_versions": ", ".join(f"{s.name} {s.version}" for s in plan.stages),
+            "stage_runs": f"{', '.join(f'{s.name} {n}' for s, n in counted)} "
+            f"behind {len(plan.cases)} cases",
+            "demflow_version": installed("demflow"),  # where nothing was done
+            **made_by,
+            "netCDF4_version": installed("netCDF4"),
+            "xarray_version": installed("xarray"),
+        }
+        self.file.setncatts(attributes)
+
+    def _variable(self, name: str, quantity: Quantity) -> netCDF4.Variable:
+        """The variable of a quantity, made when it is first needed."""
+        if name in self.file.variables:
+            return self.file[name]
+        dimensions = tuple(d for d in quantity.dimensions if self._dimension(d))
+        kind, fill = (TEXT, False) if quantity.text else ("f8", math.nan)
+        variable = self.file.createVariable(name, kind, (*self.axes, *dimensions), fill_value=fill)
+        variable.setncatts(quantity_attributes(quantity))
+        beside = [name for axis in self.study.axes for name in _beside(coordinates(axis))]
+        beside += ["probe_x", "probe_y"] if "probe" in dimensions else []
+        if beside:
+            variable.setncattr("coordinates", " ".join(beside))
+        return variable
+
+    def _dimension(self, name: str) -> bool:
+        """Make a dimension and its coordinate; False where the study has no such thing."""
+        if name in self.file.dimensions:
+            return True
+        if name == "elapsed_time":
+            return self._numbers(name, name, self.labels.times)
+        if name in FIXED:
+            return self._words(name, FIXED[name])
+        if name == "stage":
+            return self._words(name, self.stages)
+        places = self.labels.names[name]
+        made = self._words(name, tuple(places))
+        if name == "probe" and made:
+            for k, beside in enumerate(("probe_x", "probe_y")):
+                self._numbers(beside, name, np.array([at[k] for at in places.values()]))
+        return made
+
+    def _numbers(self, name: str, dimension: str, values: np.ndarray) -> bool:
+        if not len(values):
+            return False
+        if dimension not in self.file.dimensions:
+            self.file.createDimension(dimension, len(values))
+        variable = self.file.createVariable(name, "f8", (dimension,), fill_value=False)
+        variable.setncatts(quantity_attributes(COORDINATES[name]))
+        variable[:] = values
+        return True
+
+    def _words(self, name: str, words: Sequence[str]) -> bool:
+        if not words:
+            return False
+        self.file.createDimension(name, len(words))
+        variable = self.file.createVariable(name, TEXT, (name,), fill_value=False)
+        variable.setncatts(quantity_attributes(COORDINATES[name]))
+        variable[:] = np.array(words, dtype=object)
+        return True
+
+    def _axis_coordinate(self, dimension: str, coordinate: Coordinate) -> None:
+        values = coordinate.values
+        words = values.dtype.kind == "U"
+        kind = TEXT if words else values.dtype
+        variable = self.file.createVariable(coordinate.name, kind, (dimension,), fill_value=False)
+        if coordinate.unit:
+            variable.setncattr("units", coordinate.unit)
+        variable.setncattr("long_name", coordinate.long_name)
+        variable[:] = values.astype(object) if words else values
+
+    def _status(self) -> None:
+        flags = self.file.createVariable("status", "i1", self.axes, fill_value=False)
+        flags.setncatts(
+            {
+                "long_name": "how the case ended",
+                "standard_name": "status_flag",
+                "flag_values": np.array([int(s) for s in Status], dtype=np.int8),
+                "flag_meanings": " ".join(s.name.lower() for s in Status),
+            }
+        )
+        message = self.file.createVariable("message", TEXT, self.axes, fill_value=False)
+        message.setncattr("long_name", "why the case has no result, and what to try")
+
+    def _where(self, name: str, layout: int) -> list[tuple[str, np.ndarray]]:
+        """Positions of a case's own times and names along the dimensions of a variable."""
+        if (name, layout) not in self.places:
+            own = self.labels.layouts[layout]
+            kept = [d for d in CASE[name].dimensions if d in self.file.dimensions]
+            self.places[name, layout] = [(d, self._positions(d, own)) for d in kept]
+        return self.places[name, layout]
+
+    def _positions(self, dimension: str, own: Layout) -> np.ndarray:
+        if dimension == "elapsed_time":
+            return np.searchsorted(self.labels.times, np.array(own.times, dtype=float))
+        if dimension in FIXED:
+            return np.arange(len(FIXED[dimension]))
+        every = list(self.labels.names[dimension])
+        return np.array([every.index(name) for name in own.names[dimension]], dtype=int)
+
+
+def _place(target: np.ndarray, array: np.ndarray, where: list[tuple[str, np.ndarray]]) -> None:
+    """Put an array of one case where its labels lie.
+
+    A steady case beside transient ones has no times: its value holds at all of them.
+    """
+    if not target.shape:
+        target[...] = array
+        return
+    index = [own for _, own in where]
+    if array.ndim == target.ndim - 1 and where[-1][0] == "elapsed_time":
+        index[-1] = np.arange(target.shape[-1])
+        array = array[..., None]
+    target[np.ix_(*index)] = array
+
+
+def _beside(found: tuple[Coordinate, ...]) -> list[str]:
+    """Coordinates that lie along an axis without being its own."""
+    return [coordinate.name for coordinate in found[1:]]
+
+
+def _blank(shape: tuple[int, ...]) -> np.ndarray:
+    """Empty words."""
+    return np.full(shape, "", dtype=object)
