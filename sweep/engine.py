@@ -2,115 +2,38 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import itertools
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from model.parameters import SceneError
 from sweep.cost import Costs
 from sweep.durable import naming, write_durably
+from sweep.errors import ResultsError
 from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
 from sweep.heritage import inherited, note
-from sweep.lock import FolderLock, LockedError
-from sweep.plan import Plan, make_plan
+from sweep.lock import FolderLock
+from sweep.prepared import DATASET_FILE, STUDY_FILE, Prepared, prepare
 from sweep.progress import Progress
-from sweep.scenes import SceneBuilder
 from sweep.schedule import Schedule
-from sweep.stages import MODEL, Status, stage_table
-from sweep.store import Store, StoreError
-from sweep.study import Study, load_study
+from sweep.stages import MODEL, Status
+from sweep.store import StoreError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from model.scene import Scene
     from sweep.dataset.verdict import Verdict
     from sweep.ledger import Executed
 
-__all__ = ["Finished", "LockedError", "Prepared", "StoreError", "prepare", "run", "run_study"]
-
-STUDY_FILE, DATASET_FILE, REPORT_FILE = "study.yaml", "dataset.nc", "report.html"
+REPORT_FILE = "report.html"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
 COLLECTOR = 2  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
-
-
-@dataclass(frozen=True)
-class Prepared:
-    """A study, its plan, and what of it is stored."""
-
-    study: Study
-    plan: Plan
-    store: Store
-    folder: Path  # results/<study>
-    scene_of: Callable[[int], Scene]
-
-    def stored(self) -> np.ndarray:
-        """Which runs have their product, (runs,) bool."""
-        has = (self.store.has(run.id) for run in self.plan.runs)
-        return np.fromiter(has, dtype=bool, count=len(self.plan.runs))
-
-    def failed(self, stored: np.ndarray) -> np.ndarray:
-        """Which runs are known to fail and would fail again, (runs,) bool."""
-        failed = np.zeros(len(self.plan.runs), dtype=bool)
-        for k in np.flatnonzero(~stored):
-            record = self.store.failure(self.plan.runs[k].id)
-            failed[k] = record is not None and not self._may_pass(record)
-        return failed
-
-    def verdicts(self) -> list[Verdict]:
-        """How each case stands, (cases,)."""
-        from sweep.dataset.verdict import verdict
-
-        stored = self.stored()
-        every = range(len(self.plan.cases))
-        return [verdict(self.plan, self.store, stored, case) for case in every]
-
-    def as_expected(self, verdicts: list[Verdict]) -> np.ndarray:
-        """Which cases ended as the study says that they should, (cases,) bool.
-
-        Without a word about it in the study, every case should be done. Bounds are held against
-        the dataset, where there is one.
-        """
-        study = self.study
-        places = itertools.product(*map(range, study.shape))
-        promised = [study.expectation(place) for place in places]
-        good = np.array(
-            [
-                ends_as_expected(p, v.status, v.message)
-                for p, v in zip(promised, verdicts, strict=True)
-            ]
-        )
-        bounded = [p for p in promised if any(getattr(p, name) is not None for name in BOUNDED)]
-        if bounded and (self.folder / DATASET_FILE).exists():
-            from sweep.results import open_results
-
-            dataset = open_results(self.folder)
-            numbers = {
-                name: dataset[name].values.ravel()
-                for name in BOUNDED
-                if name in dataset and dataset[name].size == len(good)
-            }
-            for case in np.flatnonzero(good):
-                if verdicts[case].status is Status.DONE:
-                    found = {name: float(values[case]) for name, values in numbers.items()}
-                    good[case] = not beyond_bounds(promised[case], found)
-        return good
-
-    def _may_pass(self, record: dict[str, Any]) -> bool:
-        """Whether a limit that ended a run has been raised since."""
-        ended = {Status.TIMED_OUT: "time", Status.OUT_OF_MEMORY: "memory"}
-        which = ended.get(Status(record["status"]))
-        then = record.get("limits", {}).get(which)
-        now = getattr(self.study.limits, which) if which else None
-        return then is not None and (now is None or now > then)
 
 
 @dataclass(frozen=True)
@@ -127,38 +50,6 @@ class Finished:
     report: Path | None = None
     damaged: list[str] = field(default_factory=list)
     changed: bool = False  # whether the study file is no longer the one that was run
-
-
-def prepare(
-    path: str | Path,
-    results: str | Path = "results",
-    *,
-    smoke: bool = False,
-    table: str = MODEL,
-    create: bool = False,
-) -> Prepared:
-    """Read a study, make its plan and open the store of its results.
-
-    Nothing is written unless `create` says so. Raises StudyError, StoreError.
-    """
-    study = load_study(path, smoke=smoke)
-    builder = SceneBuilder(study.values, study.axes)
-    plan = planned(study, table)
-
-    @functools.lru_cache(maxsize=512)
-    def scene_of(case: int) -> Scene:
-        return builder.scene(tuple(int(k) for k in np.unravel_index(case, study.shape)))
-
-    root = Path(results)
-    return Prepared(
-        study, plan, Store.open(root / "store", create=create), root / study.name, scene_of
-    )
-
-
-def planned(study: Study, table: str = MODEL) -> Plan:
-    """Return the plan of all cases of a study."""
-    builder = SceneBuilder(study.values, study.axes)
-    return make_plan(_scenes(study, builder), stage_table(table))
 
 
 def run_study(
@@ -229,7 +120,7 @@ def run_study(
         finished = Finished(
             folder=prepared.folder,
             cases=len(verdicts),
-            failed=int(np.count_nonzero(~prepared.as_expected(verdicts))),
+            failed=int(np.count_nonzero(~as_expected(prepared, verdicts))),
             executed=executed,
             collected=collected,
             dataset=prepared.folder / DATASET_FILE,
@@ -279,12 +170,10 @@ def draw_study(
     """
     prepared = prepare(path, results, smoke=smoke, table=table)
     verdicts = prepared.verdicts()
-    failed = int(np.count_nonzero(~prepared.as_expected(verdicts)))
+    failed = int(np.count_nonzero(~as_expected(prepared, verdicts)))
     dataset = prepared.folder / DATASET_FILE
     finished = Finished(prepared.folder, len(verdicts), failed, None, False, dataset)
     if not dataset.exists():
-        from sweep.results import ResultsError
-
         raise ResultsError(f"{dataset} does not exist; `demflow run` writes it")
     with FolderLock(prepared.folder.parent, f"demflow report {prepared.study.name}"):
         return draw(prepared, finished)
@@ -308,12 +197,33 @@ def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finis
     return replace(finished, figures=tuple(figures), report=report)
 
 
-def _scenes(study: Study, builder: SceneBuilder) -> Iterator[Scene | SceneError]:
-    for index in itertools.product(*map(range, study.shape)):
-        try:
-            yield builder.scene(index)
-        except SceneError as error:
-            yield error
+def as_expected(prepared: Prepared, verdicts: list[Verdict]) -> np.ndarray:
+    """Which cases ended as the study says that they should, (cases,) bool.
+
+    Without a word about it in the study, every case should be done. Bounds are held against
+    the dataset, where there is one.
+    """
+    study = prepared.study
+    places = itertools.product(*map(range, study.shape))
+    promised = [study.expectation(place) for place in places]
+    good = np.array(
+        [ends_as_expected(p, v.status, v.message) for p, v in zip(promised, verdicts, strict=True)]
+    )
+    bounded = [p for p in promised if any(getattr(p, name) is not None for name in BOUNDED)]
+    if bounded and (prepared.folder / DATASET_FILE).exists():
+        from sweep.results import open_results
+
+        dataset = open_results(prepared.folder)
+        numbers = {
+            name: dataset[name].values.ravel()
+            for name in BOUNDED
+            if name in dataset and dataset[name].size == len(good)
+        }
+        for case in np.flatnonzero(good):
+            if verdicts[case].status is Status.DONE:
+                found = {name: float(values[case]) for name, values in numbers.items()}
+                good[case] = not beyond_bounds(promised[case], found)
+    return good
 
 
 def _execute(

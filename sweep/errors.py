@@ -1,4 +1,4 @@
-"""Errors of a run as a whole; what goes wrong in a case is its status, and no error."""
+"""Errors of runs and results as a whole; what goes wrong in a case is its status instead."""
 
 from __future__ import annotations
 
@@ -9,3 +9,7 @@ class RunError(RuntimeError):
 
 class SchedulerError(RunError):
     """The workers that were named cannot be used; nothing was run."""
+
+
+class ResultsError(ValueError):
+    """A folder or a case that cannot be opened; the text says why and what would be valid."""

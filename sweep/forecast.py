@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from sweep.cost import Costs
-from sweep.engine import Prepared
 from sweep.plan import Kind, Plan
+from sweep.prepared import Prepared
 from sweep.schedule import Schedule, State
 
 

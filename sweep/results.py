@@ -13,19 +13,14 @@ from model.quantities import COORDINATES, MAPS
 from model.scene import Scene
 from sweep.cases import case_at, coordinates
 from sweep.dataset.labels import CONVENTIONS, quantity_attributes
+from sweep.errors import ResultsError
 from sweep.plan import make_plan
+from sweep.prepared import DATASET_FILE, STUDY_FILE
 from sweep.stages import MODEL, case_maps, stage_table
 from sweep.store import MissingError, Store
 from sweep.study import Study, load_study
 from sweep.versions import installed
 from sweep.worker import build
-
-STUDY_FILE = "study.yaml"
-DATASET_FILE = "dataset.nc"
-
-
-class ResultsError(ValueError):
-    """A folder or a case that cannot be opened; the text says why and what would be valid."""
 
 
 def open_results(folder: str | Path) -> xr.Dataset:

@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from sweep.dataset.file import dataset_problem
-from sweep.engine import DATASET_FILE, STUDY_FILE, UNFINISHED_FILE, planned
+from sweep.engine import UNFINISHED_FILE
 from sweep.lock import FolderLock
+from sweep.prepared import DATASET_FILE, STUDY_FILE, planned
 from sweep.stages import MODEL
 from sweep.store import Store, StoreError, put_aside
 from sweep.study import load_study

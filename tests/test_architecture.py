@@ -40,13 +40,14 @@ SWEEP = (
     ("sweep.cost", "sweep.heritage"),
     ("sweep.schedule",),
     ("sweep.pools", "sweep.limits", "sweep.jobs", "sweep.ledger", "sweep.dataset"),
-    ("sweep.execute", "sweep.collect"),
+    ("sweep.execute", "sweep.collect", "sweep.prepared"),
     ("sweep.results",),
     ("sweep.analysis",),
     ("sweep.figures",),
     ("sweep.report",),
     ("sweep.engine",),
     ("sweep.forecast", "sweep.upkeep"),
+    ("sweep.commands",),
     ("sweep.cli",),
 )
 # All that a study needs of the model: what a scene is, what is measured, how a case ended.

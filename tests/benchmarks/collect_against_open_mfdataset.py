@@ -28,7 +28,7 @@ GRIDS = "tests.benchmarks.grids:STAGES"
 _COLLECT = """
 import json, resource, sys, time
 from sweep.collect import collect
-from sweep.engine import prepare
+from sweep.prepared import prepare
 prepared = prepare(sys.argv[1], sys.argv[2], table=sys.argv[3])
 verdicts = prepared.verdicts()
 begin = time.perf_counter()

@@ -23,7 +23,7 @@ FEW, MANY, GROWTH = 1_000, 4_000, 10.0  # cases to run, and kB that one more may
 _PLAN = """
 import json, resource, sys, time
 begin = time.perf_counter()
-from sweep.engine import prepare
+from sweep.prepared import prepare
 cases = len(prepare(sys.argv[1], sys.argv[2], table=sys.argv[3]).plan.cases)
 seconds = time.perf_counter() - begin
 print(json.dumps([cases, seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3]))

@@ -20,7 +20,7 @@ from model.quantities import CASE, SWEEP
 from sweep import collect as collect_module
 from sweep.dataset.file import collected_digest
 from sweep.dataset.tiles import tiles
-from sweep.engine import prepare
+from sweep.prepared import prepare
 from sweep.results import open_results
 from sweep.stages import Status
 from tests.sweep import toy_stages, toys

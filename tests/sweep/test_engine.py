@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from model.quantities import SWEEP
-from sweep.engine import prepare
 from sweep.lock import FolderLock, LockedError
+from sweep.prepared import prepare
 from sweep.results import open_results
 from sweep.store import StoreError
 from tests.sweep import toy_stages, toys

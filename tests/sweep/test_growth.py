@@ -14,8 +14,8 @@ import pytest
 from model.parameters import SceneError
 from model.scene import OBSERVABLES, Scene
 from sweep.cases import case_at
-from sweep.engine import planned
 from sweep.plan import Plan, make_plan
+from sweep.prepared import planned
 from sweep.results import open_results
 from sweep.stages import stage_table
 from sweep.study import Study, load_study

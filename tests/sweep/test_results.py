@@ -7,7 +7,7 @@ import pytest
 
 import sweep
 from sweep import results
-from sweep.results import ResultsError
+from sweep.errors import ResultsError
 from tests.sweep import toy_stages, toys
 
 MAPS = {

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from sweep import cli, engine, upkeep
+from sweep import prepared as preparing
 
 TABLE = "tests.sweep.toy_stages:STAGES"
 
@@ -61,7 +62,7 @@ def run(path: Path, results: Path, **options: Any) -> engine.Finished:
     return engine.run_study(path, results=results, figures=False, table=TABLE, **options)
 
 
-def prepared(path: Path, results: Path) -> engine.Prepared:
+def prepared(path: Path, results: Path) -> preparing.Prepared:
     """A study on the toy stages, its plan and its store."""
     return _prepare(path, results, table=TABLE)
 
@@ -69,16 +70,16 @@ def prepared(path: Path, results: Path) -> engine.Prepared:
 def demflow(*arguments: str) -> int:
     """The command line, on the toy stages and without figures."""
     engine.run_study = functools.partial(_run_study, table=TABLE, figures=False)
-    engine.prepare = functools.partial(_prepare, table=TABLE)
+    preparing.prepare = functools.partial(_prepare, table=TABLE)
     upkeep.unwanted = functools.partial(_unwanted, table=TABLE)
     try:
         return cli.main(arguments)
     finally:
-        engine.run_study, engine.prepare = _run_study, _prepare
+        engine.run_study, preparing.prepare = _run_study, _prepare
         upkeep.unwanted = _unwanted
 
 
-_run_study, _prepare = engine.run_study, engine.prepare
+_run_study, _prepare = engine.run_study, preparing.prepare
 _unwanted = upkeep.unwanted
 
 if __name__ == "__main__":
