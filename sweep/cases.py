@@ -6,6 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,10 +18,11 @@ from sweep.study import Study
 from sweep.units import describe, to_degrees
 
 
-class Case(NamedTuple):
+@dataclass(frozen=True)
+class Case:
     """One point of a study."""
 
-    index: tuple[int, ...]  # type: ignore[assignment]  # position along each axis
+    index: tuple[int, ...]  # position along each axis
     scene: Scene
 
 

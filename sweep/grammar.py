@@ -11,6 +11,7 @@ import dataclasses
 import math
 import re
 import typing
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -55,12 +56,12 @@ class Reading:
         return any(".".join(parts[:k]) in self.unreadable for k in range(len(parts) + 1))
 
 
-class Section:
+class Section(ABC):
     """One place of the grammar: how it is read, addressed and built."""
 
+    @abstractmethod
     def read(self, node: Node, path: str, reading: Reading) -> Any:
         """Values (SI) of a node; reports every problem and puts stand-ins where one is."""
-        raise NotImplementedError
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
         """What the scene holds for these values; appends what is wrong with them."""

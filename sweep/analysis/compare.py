@@ -92,6 +92,13 @@ def fluid_of(scene: Scene) -> Fluid:
     return scene.fluid
 
 
+def initial_pressure_of(scene: Scene) -> float:
+    """The pressure everywhere before the first time, Pa."""
+    if scene.uniform_pressure is None:
+        raise ValueError("the comparison needs one initial_pressure everywhere")
+    return scene.uniform_pressure
+
+
 def compared_permeability(scene: Scene, case: xr.Dataset) -> float:
     """Permeability for t_D and Darcy's law, m²: as asked for, or as measured under stress."""
     matrix = scene.matrix

@@ -17,6 +17,7 @@ from sweep.analysis.compare import (
     comparable_cases,
     compared_permeability,
     fluid_of,
+    initial_pressure_of,
     spread,
     stacked,
 )
@@ -92,7 +93,7 @@ def compare_linear(dataset: xr.Dataset, scene_of: SceneOf, maps_of: MapsOf) -> L
         case, maps = dataset.isel(index), maps_of(index)
         times = np.array(scene.times)
         sample = _sample(scene, maps)
-        initial = float(scene.uniform_pressure)  # type: ignore[arg-type]
+        initial = initial_pressure_of(scene)
         phi, k, fluid = float(case["porosity"]), compared_permeability(scene, case), fluid_of(scene)
         diffusivity = k * fluid.bulk_modulus / (phi * fluid.viscosity)
         formula = linear_pressure(

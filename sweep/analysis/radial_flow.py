@@ -18,6 +18,7 @@ from sweep.analysis.compare import (
     comparable_cases,
     compared_permeability,
     fluid_of,
+    initial_pressure_of,
     spread,
     stacked,
 )
@@ -85,7 +86,7 @@ def compare_radial(
         case, well, fluid = dataset.isel(index), scene.wells[0], fluid_of(scene)
         times = np.array(scene.times)
         phi, k = float(case["porosity"]), compared_permeability(scene, case)
-        initial, rate = float(scene.uniform_pressure), float(well.rate)  # type: ignore[arg-type]
+        initial, rate = initial_pressure_of(scene), well.rate or 0.0
         fall = float(thiem_pressure_fall(rate, fluid.viscosity, k, 1.0, R_De))
         t_D = k * fluid.bulk_modulus * times / (phi * fluid.viscosity * well.radius**2)
         pressure = case["well_pressure"].sel(well=well.name, elapsed_time=times).values

@@ -135,6 +135,11 @@ def _sizes(dataset: xr.Dataset, roles: Roles, scene_of: SceneOf) -> tuple[int, .
     return (scene_of({axis: 0 for axis in axes(dataset)}).grains.count or 0,)
 
 
+def _setting(point: dict[str, object], knob: str) -> str:
+    value = point.get(knob, "default")
+    return f"{value:g}" if isinstance(value, int | float) else str(value)
+
+
 def _ladders(
     part: xr.Dataset, solver: str, settings: list[dict[str, object]], scene: str, grains: int
 ) -> list[Ladder]:
@@ -148,7 +153,7 @@ def _ladders(
         failed = np.flatnonzero(status != Status.DONE)
         messages = rungs["message"].values.reshape(-1)
         knob = "solver.safety_factor" if method == "explicit" else "solver.tolerance"
-        shown = tuple(f"{settings[k].get(knob, 'default'):g}" for k in own)  # type: ignore[str-format]
+        shown = tuple(_setting(settings[k], knob) for k in own)
         error = rungs["time_error"].values.reshape(len(own), -1)
         found.append(
             Ladder(

@@ -46,9 +46,9 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
         index |= {name: at for name, at in ((colour, i), (style, j)) if name}
         case, own = dataset.isel(index), well_of(index, well)
         production = production_time(own) if own is not None else None
-        if production is None or int(case["status"]) != Status.DONE:
+        if own is None or production is None or int(case["status"]) != Status.DONE:
             continue
-        since = times - own.rate_changes[1][0]  # type: ignore[union-attr]
+        since = times - own.rate_changes[1][0]
         shut = since > 0
         if np.count_nonzero(shut) < 2:
             continue

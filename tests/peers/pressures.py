@@ -104,7 +104,7 @@ def main(python: str) -> None:
         data.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         network = Path(folder) / "network.npz"
-        np.savez(network, **given(made))  # type: ignore[arg-type]
+        np.savez(network, **given(made))
         subprocess.run([python, HERE / "openpnm_solve.py", network, OPENPNM], check=True)
     subprocess.run([python, HERE / "anaflow_solve.py", ANAFLOW], check=True)
     with np.load(OPENPNM) as kept:

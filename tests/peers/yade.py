@@ -24,7 +24,7 @@ def run_in_yade(script: str, **case: object) -> dict[str, np.ndarray]:
         raise PeerMissingError("Yade is not installed: apt-get install yade")
     with tempfile.TemporaryDirectory() as folder:
         given, result = Path(folder, "case.npz"), Path(folder, "result.npz")
-        np.savez(given, **case)  # type: ignore[arg-type]
+        np.savez(given, **case)
         # Yade must not see this environment
         env = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL"))}
         env |= {"CASE": str(given), "RESULT": str(result), "OMP_NUM_THREADS": "1"}

@@ -89,7 +89,8 @@ if bonded:
 # a step of no time finds the contacts, which then get their shear forces
 O.dt = 1e-15
 O.step()
-shear_of = dict(zip(zip(case["a"].tolist(), case["b"].tolist()), case["shear"]))  # noqa: B905
+pairs = np.column_stack([case["a"], case["b"]]).tolist()
+shear_of = {(a, b): case["shear"][k] for k, (a, b) in enumerate(pairs)}
 equal_stiffness()
 for contact in O.interactions:
     a, b = sorted((contact.id1, contact.id2))
