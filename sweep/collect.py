@@ -1,10 +1,9 @@
 """Products of cases → the labelled dataset, one netCDF-4 file with CF metadata.
 
-The file is filled tile by tile, a few thousand cases at a time, in memory or, beyond a size,
-on disk, so that memory does not grow with their number. It is written aside and renamed. A case
-without a product is NaN and has its status and its message. All of it follows from the study but
-`compute_time` and `stage_time`, which were measured: they alone differ between two runs that
-both start from nothing.
+The file is filled tile by tile, a few thousand cases at a time, so that memory does not grow
+with their number. It is written aside and renamed. A case without a product is NaN and has its
+status and its message. All of it follows from the study but `compute_time` and `stage_time`,
+which were measured: they alone differ between two runs that both start from nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pathlib import Path
 import netCDF4
 
 from model.scene import Scene
-from sweep.dataset.file import make_in_memory, make_on_disk
+from sweep.dataset.file import make_dataset
 from sweep.dataset.labels import labels_of
 from sweep.dataset.source import Source
 from sweep.dataset.tiles import tiles
@@ -27,7 +26,6 @@ from sweep.stages import Status
 from sweep.store import Store
 from sweep.study import Study
 
-BUFFER_BYTES = 256_000_000  # a dataset of up to this size is made in memory
 TILE_CASES = 2048  # cases that are held in memory at once
 TILE_BYTES = 16_000_000  # or fewer, if their numbers are many
 
@@ -59,7 +57,7 @@ def collect(
     source = Source(plan, store)
     each = _bytes_of_a_case(plan, store, verdicts)
 
-    def fill(file: netCDF4.Dataset) -> None:
+    def fill(file: netCDF4.Dataset) -> bool:
         writer = Writer(file, study, labels_of(plan, scene_of), source.stages)
         for tile in tiles(study.shape, max(1, min(TILE_CASES, TILE_BYTES // each))):
             writer.begin(tile)
@@ -69,11 +67,9 @@ def collect(
                 writer.end_case(case, verdicts[case], source.spent(case))
             writer.flush()
         writer.describe(plan, digest, source.origins)
+        return not source.damaged
 
-    if each * len(plan.cases) <= BUFFER_BYTES:
-        make_in_memory(path, fill, source.damaged)
-    else:
-        make_on_disk(path, fill, source.damaged)
+    make_dataset(path, fill)
     return source.damaged
 
 

@@ -13,36 +13,17 @@ import netCDF4
 
 from sweep.durable import naming, rename_durably, write_durably
 
+PROBE_BYTES = 1_000_000  # written to find why the library could not write
 
-def make_in_memory(path: Path, fill: Callable[[netCDF4.Dataset], None], damaged: list[str]) -> None:
-    """Make a dataset in memory and put it in place, unless a product was found damaged.
 
-    So the netCDF library never meets a disk that fails: it crashes where its last write does.
+def make_dataset(path: Path, fill: Callable[[netCDF4.Dataset], bool]) -> None:
+    """Make a dataset aside and put it in place, if `fill` says that it is good.
+
+    Raises OSError where it cannot be written; the earlier dataset stays then.
     """
-    file = netCDF4.Dataset(path, "w", format="NETCDF4", memory=1)
-    try:
-        fill(file)
-    finally:
-        content = file.close()
-    if not damaged:
-        with _hash_beside(path, hashlib.sha256(content).hexdigest()):
-            write_durably(path, content)
-
-
-def make_on_disk(path: Path, fill: Callable[[netCDF4.Dataset], None], damaged: list[str]) -> None:
-    """Do the same on disk, for a dataset of any size. Raises OSError."""
     aside = path.with_name(f"{path.name}.{os.getpid()}.partial")
     try:
-        try:
-            with netCDF4.Dataset(aside, "w", format="NETCDF4") as file:
-                fill(file)
-                file.sync()  # what cannot be written is told here, and not on closing
-        except (RuntimeError, PermissionError) as error:  # its words for whatever happened
-            if type(error) not in (RuntimeError, PermissionError):
-                raise
-            why = f"netCDF cannot write it ({error}); most often the disk is full"
-            raise OSError(errno.EIO, why, str(path)) from error
-        if damaged:
+        if not _written(aside, path, fill):
             return
         with open(aside, "rb+") as written, naming(path):
             os.fsync(written.fileno())
@@ -54,15 +35,51 @@ def make_on_disk(path: Path, fill: Callable[[netCDF4.Dataset], None], damaged: l
             aside.unlink()
 
 
+def _written(aside: Path, path: Path, fill: Callable[[netCDF4.Dataset], bool]) -> bool:
+    """Fill a file through the netCDF library; what `fill` says of it. Raises OSError."""
+    try:
+        with netCDF4.Dataset(aside, "w", format="NETCDF4") as file:
+            try:
+                good = fill(file)
+                file.sync()  # what cannot be written is told here, and not on closing
+            finally:
+                _detach(aside)
+    except (RuntimeError, PermissionError) as error:  # its words for whatever happened
+        if type(error) not in (RuntimeError, PermissionError):
+            raise
+        with open(aside, "ab", buffering=0) as probe, naming(path):
+            probe.write(bytes(PROBE_BYTES))  # tells what the library does not
+            os.fsync(probe.fileno())
+        why = f"netCDF cannot write it ({error}); most often the disk is full"
+        raise OSError(errno.EIO, why, str(path)) from error
+    return good
+
+
+def _detach(path: Path) -> None:
+    """Let all further writes of this process to an open file go nowhere.
+
+    The netCDF library crashes where the last write to a file, on closing it, fails. After `sync`
+    the file is whole and closing has nothing to add; after an error nobody wants it.
+    """
+    own = path.stat()
+    with open(os.devnull, "rb+", buffering=0) as nowhere:
+        for name in os.listdir("/dev/fd"):
+            with suppress(OSError):  # the descriptor of the listing itself
+                if os.path.samestat(os.fstat(int(name)), own):
+                    os.dup2(nowhere.fileno(), int(name), inheritable=False)
+
+
 @contextmanager
 def _hash_beside(path: Path, sha256: str) -> Iterator[None]:
     """Record the hash of a dataset that takes its place while a `with` block runs.
 
-    Until it has, the hash of the earlier one stands there too, so that whenever this ends
-    a whole dataset is known as one.
+    Until it has, the hash of the one that is there stands beside it, so that whenever this
+    ends a whole dataset is known as one.
     """
     line = f"{sha256}  {path.name}\n"
-    earlier = "".join(f"{known}  {path.name}\n" for known in _known_hashes(path)[:2])
+    earlier = ""
+    if (known := _known_hashes(path)) and path.exists() and (there := _hash(path)) in known:
+        earlier = f"{there}  {path.name}\n"
     write_durably(_hash_file(path), (line + earlier).encode())
     yield
     write_durably(_hash_file(path), line.encode())
@@ -81,9 +98,12 @@ def dataset_problem(path: Path) -> str | None:
     recorded = _known_hashes(path)
     if not recorded:
         return f"there is no hash in {_hash_file(path).name} beside it"
+    return None if _hash(path) in recorded else "the data differ from what was written"
+
+
+def _hash(path: Path) -> str:
     with open(path, "rb") as file:
-        found = hashlib.file_digest(file, "sha256").hexdigest()
-    return None if found in recorded else "the data differ from what was written"
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _hash_file(path: Path) -> Path:

@@ -9,6 +9,7 @@ import os
 import platform
 import subprocess
 import sys
+from pathlib import Path
 
 import netCDF4
 import numpy as np
@@ -174,14 +175,10 @@ def test_cf_checker_finds_no_error(finished, tmp_path):
     assert messages == []
 
 
-@pytest.mark.parametrize("buffer", [0, 10**9])
-def test_small_tiles_in_memory_or_on_disk_give_the_same_file(
-    finished, tmp_path, monkeypatch, buffer
-):
+def test_small_tiles_give_the_same_file(finished, tmp_path, monkeypatch):
     path, ran = finished
     made = prepare(path, ran.folder.parent, table=toys.TABLE)
     monkeypatch.setattr(collect_module, "TILE_CASES", 2)
-    monkeypatch.setattr(collect_module, "BUFFER_BYTES", buffer)
     other = tmp_path / "dataset.nc"
     verdicts = made.verdicts()
     arguments = (made.study, made.plan, made.store, made.scene_of, verdicts, other)
@@ -196,14 +193,12 @@ def test_small_tiles_in_memory_or_on_disk_give_the_same_file(
     assert collected_digest(other) is None
 
 
-@pytest.mark.parametrize("buffer", [0, 10**9])
 @pytest.mark.parametrize("place", range(8))
 def test_a_dataset_that_cannot_take_its_place_leaves_the_earlier_one(
-    finished, tmp_path, monkeypatch, buffer, place
+    finished, tmp_path, monkeypatch, place
 ):
     path, ran = finished
     made = prepare(path, ran.folder.parent, table=toys.TABLE)
-    monkeypatch.setattr(collect_module, "BUFFER_BYTES", buffer)
     dataset = tmp_path / "dataset.nc"
     arguments = (made.study, made.plan, made.store, made.scene_of, made.verdicts(), dataset)
     collect_module.collect(*arguments, "earlier")
@@ -227,6 +222,41 @@ def test_a_dataset_that_cannot_take_its_place_leaves_the_earlier_one(
     assert {p.name for p in tmp_path.iterdir()} == {"dataset.nc", "dataset.nc.sha256"}
     collect_module.collect(*arguments, "later")
     assert collected_digest(dataset) == "later"
+
+
+_FULL = """
+import resource, sys
+from pathlib import Path
+from sweep.collect import collect
+from tests.sweep import toys
+path, folder = Path(sys.argv[1]), Path(sys.argv[2])
+made = toys.prepared(path, folder)
+dataset = made.folder / "dataset.nc"
+whole = dataset.stat().st_size
+for bytes in (*(whole * part // 20 for part in range(20)), 2 * whole):
+    # the system refuses all beyond, as a full disk does
+    resource.setrlimit(resource.RLIMIT_FSIZE, (bytes, resource.RLIM_INFINITY))
+    try:
+        collect(made.study, made.plan, made.store, made.scene_of, made.verdicts(), dataset, "more")
+        print("written")
+    except OSError as error:
+        print(error.filename)
+    assert not list(made.folder.glob("*.partial"))
+"""
+
+
+def test_a_disk_that_fills_at_any_byte_is_an_error_and_the_earlier_dataset_stays(finished):
+    """Also on its last byte, where the netCDF library itself would end the process."""
+    path, ran = finished
+    before = collected_digest(ran.dataset)
+    command = [sys.executable, "-c", _FULL, str(path), str(ran.folder.parent)]
+    done = subprocess.run(command, cwd=Path(__file__).parents[2], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    *refused, last = done.stdout.splitlines()
+    assert len(refused) == 20
+    assert all(name.startswith(str(ran.folder / "dataset.nc")) for name in refused)
+    assert last == "written"
+    assert before != collected_digest(ran.dataset) == "more"
 
 
 def test_a_study_without_axes_is_one_case(tmp_path):
