@@ -84,6 +84,16 @@ CASE: dict[str, Quantity] = {
     "porosity": Quantity("1", (), "pore volume over polygon area of the domains in the region"),
     "matrix_aperture": Quantity("m", (), "unstressed pipe aperture of the matrix, w0"),
     "coordination": Quantity("1", (), "mean number of contacts of the grains that carry load"),
+    "fabric": Quantity("1", ("row", "column"), "fabric tensor of the packing, mean of n ⊗ n"),
+    "fabric_anisotropy": Quantity(
+        "1", (), "difference of the principal values of the packing's fabric over their sum"
+    ),
+    "floater_fraction": Quantity("1", (), "part of all grains of the packing that bear no load"),
+    "largest_overlap": Quantity("1", (), "largest overlap in the packing over the mean radius"),
+    "packing_friction": Quantity("1", (), "friction at which the grains were packed"),
+    "packing_pressure": Quantity(
+        "1", (), "isotropic stress at which the grains were packed over the normal stiffness"
+    ),
     "grain_count": Quantity("1", (), "grains whose centre lies inside the region"),
     "domain_count": Quantity("1", (), "pores inside the region"),
     "floaters": Quantity("1", (), "grains without load in the packing, treated as solid in pores"),

@@ -107,10 +107,12 @@ def observe(
     wanted: tuple[str, ...],
 ) -> dict[str, np.ndarray]:
     """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
+    from model.mechanics.measures import packing_quality
+
     grains = contains(region, np.column_stack([packing.x, packing.y]))
     found = {
         "porosity": packing.porosity,
-        "coordination": packing.coordination,
+        **packing_quality(packing),
         "grain_count": np.asarray(np.count_nonzero(grains)),
         "floaters": packing.floaters,
     }
@@ -225,7 +227,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         function="model.mechanics.packing:pack",
-        version=3,
+        version=4,
         parents=(),
         reads={
             "region": lambda s: s.region,
@@ -234,6 +236,9 @@ STAGES: tuple[Stage, ...] = (
             "packing": lambda s: s.grains.packing,
             "radius_ratio": lambda s: s.grains.radius_ratio,
             "porosity": lambda s: s.grains.porosity,
+            "tile": lambda s: s.grains.tile if s.grains.packing == "periodic" else 0,
+            "packing_pressure": lambda s: s.grains.packing_pressure,
+            "packing_friction": lambda s: s.grains.packing_friction,
             "seed": lambda s: s.grains.seed,
             "floaters": lambda s: s.grains.floaters,
             "sizes": lambda s: s.grains.sizes,
@@ -357,7 +362,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="model.stages:observe",
-        version=3,
+        version=4,
         parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={
             "region": lambda s: s.region,

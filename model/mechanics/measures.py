@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 
 from model.mechanics.grains import Array
 from model.mechanics.neighbours import Pairs
+from model.products import Packing
 from model.region import Region, contains
 
 PARTS = 16  # of a branch, to find how much of it lies in a region
@@ -69,6 +70,26 @@ def fabric(x: Array, y: Array, a: Array, b: Array) -> Array:
     dx, dy = x[b] - x[a], y[b] - y[a]
     normal = np.column_stack([dx, dy]) / np.maximum(np.hypot(dx, dy), 1e-300)[:, None]
     return normal.T @ normal / max(len(a), 1)
+
+
+def packing_quality(packing: Packing) -> dict[str, Array]:
+    """How good a packing is and how it was made, under its names in `model.quantities.CASE`.
+
+    Floaters count neither in the coordination nor in the fabric; walls do in the coordination,
+    and a grain that was fitted into its void does in both.
+    """
+    a, b = packing.contact_a, packing.contact_b
+    found = fabric(packing.x, packing.y, a, b)
+    principal = np.linalg.eigvalsh(found)
+    return {
+        "coordination": packing.coordination,
+        "fabric": found,
+        "fabric_anisotropy": np.asarray(np.ptp(principal) / max(principal.sum(), 1e-300)),
+        "floater_fraction": packing.floaters / len(packing.x),
+        "largest_overlap": packing.normal_force.max(initial=0.0) / packing.radius.mean(),
+        "packing_friction": packing.packing_friction,
+        "packing_pressure": packing.packing_pressure,
+    }
 
 
 def affine_strain(x: Array, y: Array, u: Array, v: Array) -> Array:

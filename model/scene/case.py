@@ -126,7 +126,12 @@ class Scene:
                 for name, part in (("matrix", self.matrix), ("fluid", self.fluid))
                 if part is None
             ]
-        if self.stress is not None and self.grains.packing != "random" and self.bonds is None:
+        for name, part in (("stress", self.stress), ("test", self.test)):
+            if part is not None and self.grains.packing == "periodic":
+                what = f"a periodic packing has no walls for a {name}; take grains.packing: random"
+                problems.append((name, what))
+        lattice = self.grains.packing in ("square", "hexagonal")
+        if self.stress is not None and lattice and self.bonds is None:
             problems.append(
                 ("stress", f"an unbonded {self.grains.packing} lattice cannot be loaded; add bonds")
             )

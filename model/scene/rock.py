@@ -12,13 +12,15 @@ __all__ = ["Bonds", "FailureTest", "Grains", "Stress"]
 # What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
 LEAST_POROSITY, GREATEST_POROSITY = 0.135, 0.22
+PACKING_PRESSURES = 1e-5, 1e-2  # over k_n, between which grains are packed
 
 
 @dataclass(frozen=True, slots=True)
 class Grains:
     """The discs: how many, how large, how packed, and how their contacts respond.
 
-    Give `count` or `mean_radius`, and `modulus` or `normal_stiffness`.
+    Give `count` or `mean_radius`, and `modulus` or `normal_stiffness`; of a random packing a
+    porosity or a packing friction, and one of the packing's three targets beside it at most.
     """
 
     count: int | None = parameter(
@@ -28,7 +30,12 @@ class Grains:
         "m", default=None, above=0, help="mean grain radius, instead of a count"
     )
     packing: str = parameter(
-        default="random", choices=("random", "square", "hexagonal"), help="arrangement of grains"
+        default="random",
+        choices=("random", "periodic", "square", "hexagonal"),
+        help="arrangement of grains; periodic repeats a random tile that has no walls",
+    )
+    tile: int = parameter(
+        default=2000, at_least=100, at_most=200_000, help="grains in the tile of periodic packing"
     )
     radius_ratio: float = parameter(
         default=1.66, at_least=1, at_most=10, help="largest over smallest radius, uniform between"
@@ -49,6 +56,19 @@ class Grains:
         at_least=LEAST_POROSITY,
         at_most=GREATEST_POROSITY,
         help="porosity of a random packing",
+    )
+    packing_stress: float | None = parameter(
+        "Pa",
+        default=None,
+        above=0,
+        help="isotropic stress at which grains are packed; default: 2e-4 k_n, or what porosity "
+        "and packing_friction together need",
+    )
+    packing_friction: float | None = parameter(
+        default=None,
+        at_least=0,
+        at_most=1,
+        help="friction while packing, instead of a porosity, or of a stress beside one",
     )
     floaters: str = parameter(
         default="leave",
@@ -82,12 +102,41 @@ class Grains:
                 problems.append((name, f"sizes {kind} and {name} go together"))
         if self.radii and max(self.radii) > 10.0 * min(self.radii):
             problems.append(("radii", "the largest radius is more than ten times the smallest"))
-        if self.packing == "random" and self.porosity is None:
-            problems.append(("porosity", "a random packing needs a porosity, for instance 0.17"))
-        if self.packing != "random" and self.porosity is not None:
-            problems.append(("porosity", f"a {self.packing} packing has a porosity of its own"))
+        problems += self._packing_problems()
         if problems:
             raise SceneError(problems)
+
+    def _packing_problems(self) -> list[tuple[str, str]]:
+        """What is wrong with the targets of the packing."""
+        names = ("porosity", "packing_stress", "packing_friction")
+        given = [name for name in names if getattr(self, name) is not None]
+        if self.packing in ("square", "hexagonal"):
+            what = f"a {self.packing} packing has a porosity of its own, and no stress or friction"
+            return [(name, what) for name in given]
+        problems = []
+        if len(given) == 3:
+            what = "porosity, packing_stress and packing_friction are one relation; give two"
+            problems.append(("packing_friction", what))
+        elif self.porosity is None and self.packing_friction is None:
+            what = f"a {self.packing} packing needs a porosity, for instance 0.17, or a "
+            what += "packing_friction"
+            problems.append(("porosity", what))
+        if self.packing_stress is not None and self.contact_stiffness is None:
+            problems.append(("packing_stress", "a stress needs modulus or normal_stiffness"))
+        pressure, stiffness = self.packing_pressure, self.contact_stiffness
+        low, high = PACKING_PRESSURES
+        if pressure is not None and stiffness is not None and not low <= pressure <= high:
+            what = f"{pressure:.3g} of k_n, where grains are loose or crushed; choose "
+            what += f"{low * stiffness:.3g} to {high * stiffness:.3g} Pa"
+            problems.append(("packing_stress", what))
+        return problems
+
+    @property
+    def packing_pressure(self) -> float | None:
+        """The packing stress over the normal stiffness, None where either is not given."""
+        if self.packing_stress is None or self.contact_stiffness is None:
+            return None
+        return self.packing_stress / self.contact_stiffness
 
     @property
     def contact_stiffness(self) -> float | None:

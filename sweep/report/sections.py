@@ -37,7 +37,16 @@ _WORST = (
     "unbalanced_ratio",
     "isolated_domains",
 )
-_RANGES = ("porosity", "coordination", "grain_count", "domain_count", "matrix_aperture")
+_RANGES = (
+    "porosity",
+    "coordination",
+    "floater_fraction",
+    "fabric_anisotropy",
+    "largest_overlap",
+    "grain_count",
+    "domain_count",
+    "matrix_aperture",
+)
 
 
 def outcome(dataset: xr.Dataset) -> str:

@@ -11,10 +11,10 @@ import time
 
 import numpy as np
 
+from model.mechanics.compaction import hydrostatic
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
 from model.mechanics.grains import Array, at_rest, scaled_mass
-from model.mechanics.packing import hydrostatic
 from model.mechanics.stress import DAMPING, straight_path
 from tests.benchmarks.result import Result
 from tests.benchmarks.steps import rock

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from model.mechanics.bonds import INTACT
+from model.mechanics.compaction import hydrostatic
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import FIRE, OUT_OF_STEPS, Specimen, Stop
 from model.mechanics.grains import at_rest
 from model.mechanics.joints import Trace
-from model.mechanics.packing import hydrostatic
 from model.mechanics.servo import STANDING
 from model.mechanics.stress import specimen_of, straight_path
 from model.scene import Bonds, Joint, JointLine

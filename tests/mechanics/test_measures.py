@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from model.mechanics import measures
+from model.mechanics.compaction import attempt
 from model.mechanics.floaters import fit, largest_circle
-from model.mechanics.packing import attempt, pack
+from model.mechanics.packing import pack
 from model.mechanics.sizes import sizes_of
+from model.mechanics.targets import PRESSURE, by_porosity
 from model.region import Circle, Polygon
 from model.scene import Bonds
 from tests.mechanics.rocks import REGIONS, packed
@@ -95,7 +97,10 @@ def test_largest_circle_between_three_discs() -> None:
 
 def test_floaters_are_fitted_without_overlap_and_touch_three() -> None:
     law, size = sizes_of("uniform", 1.66, None, None), np.array([57.0, 57.0])
-    left, fitted = (attempt(0.18, 0.18, size, law, [1, 0], fits=fits) for fits in (False, True))
+    left, fitted = (
+        attempt(by_porosity(0.18, PRESSURE), 0.18, size, law, [1, 0], fits=fits)
+        for fits in (False, True)
+    )
     before, grains = left.specimen.grains, fitted.specimen.grains
     n = len(grains.x)
     moved = grains.radius != before.radius

@@ -5,10 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from model.mechanics.measures import porosity
-from model.mechanics.packing import PRESSURE, pack
+from model.mechanics.measures import packing_quality, porosity
+from model.mechanics.packing import pack
 from model.mechanics.sizes import draw_radii, sizes_of
+from model.mechanics.targets import PRESSURE
 from model.outcome import ModelError
+from model.products import Packing
 from model.region import Polygon, Rectangle, bounding_box, contains
 from tests.mechanics.rocks import REGIONS, net_forces, packed, wall_forces
 
@@ -196,3 +198,71 @@ def test_other_sizes_are_packed(law) -> None:
     )  # fmt: skip
     assert float(rock.porosity) == pytest.approx(0.18, abs=0.005)
     assert float(rock.unbalanced_ratio) <= 1e-3
+
+
+def targeted(packing: str = "random", count: int = 800, **target) -> Packing:
+    return pack(
+        region=REGIONS["square"], count=count, mean_radius=None, packing=packing,
+        radius_ratio=1.66, seed=1, **{"porosity": None, **target},
+    )  # fmt: skip
+
+
+def test_porosity_follows_from_friction_and_stress() -> None:
+    """The relation of the three: it rises with friction and falls with stress."""
+    rocks = [targeted(packing_friction=f, packing_pressure=1e-3) for f in (0.0, 0.2, 0.5)]
+    found = [float(rock.porosity) for rock in rocks]
+    assert found[0] == pytest.approx(0.162, abs=0.005)
+    assert found[0] + 0.015 < found[1] < found[2] - 0.01
+    crushed = targeted(packing_friction=0.0, packing_pressure=5e-3)
+    assert float(crushed.porosity) < found[0] - 0.01
+    for rock in (*rocks, crushed):
+        width, height = rock.box[1] - rock.box[0], rock.box[3] - rock.box[2]
+        walls = wall_forces(rock, rock.radius, 1.0).sum(axis=0)
+        stress = walls / np.array([height, height, width, width])
+        np.testing.assert_allclose(stress, rock.packing_pressure, rtol=0.006)
+        assert float(rock.unbalanced_ratio) <= 1e-3
+
+
+@pytest.mark.parametrize("pressure", [5e-5, 2e-3])
+def test_porosity_and_stress_are_met_together(pressure: float) -> None:
+    rock = targeted(porosity=0.18, packing_pressure=pressure)
+    assert float(rock.porosity) == pytest.approx(0.18, abs=0.005)
+    assert float(rock.packing_pressure) == pressure
+    assert 0.0 < float(rock.packing_friction) < 0.5
+
+
+def test_porosity_and_friction_are_met_together_by_the_stress() -> None:
+    rock = targeted(porosity=0.155, packing_friction=0.0)
+    assert float(rock.porosity) == pytest.approx(0.155, abs=0.005)
+    assert float(rock.packing_friction) == 0.0
+    assert 1e-3 < float(rock.packing_pressure) < 1e-2
+
+
+@pytest.mark.parametrize(("wanted", "friction"), [(0.2, 0.0), (0.15, 0.5)])
+def test_porosity_that_a_friction_cannot_have_names_the_range(wanted, friction) -> None:
+    with pytest.raises(ModelError, match="contradict each other") as caught:
+        targeted(porosity=wanted, packing_friction=friction)
+    low, high = map(float, re.findall(r"about ([\d.]+) .* to ([\d.]+)", str(caught.value))[0])
+    assert low < high
+    assert not low < wanted < high
+
+
+def test_quality_of_a_packing_is_as_counted_by_hand() -> None:
+    rock = packed(0.18)
+    found = packing_quality(rock)
+    n = len(rock.x)
+    gap = np.hypot(rock.x[:, None] - rock.x, rock.y[:, None] - rock.y)
+    touch = (gap < rock.radius[:, None] + rock.radius) & ~np.eye(n, dtype=bool)
+    a, b = np.nonzero(touch)
+    direction = np.arctan2(rock.y[b] - rock.y[a], rock.x[b] - rock.x[a])
+    assert found["fabric"][0, 0] == pytest.approx(np.mean(np.cos(direction) ** 2))
+    assert found["fabric"][0, 1] == pytest.approx(np.mean(np.sin(2 * direction)) / 2)
+    assert found["fabric_anisotropy"] == pytest.approx(
+        np.hypot(np.mean(np.cos(2 * direction)), np.mean(np.sin(2 * direction)))
+    )
+    assert float(found["fabric_anisotropy"]) < 0.1
+    walls = np.count_nonzero(wall_forces(rock, rock.radius, 1.0), axis=1)
+    counts = touch.sum(axis=1) + walls
+    assert found["floater_fraction"] == np.count_nonzero(counts < 2) / n
+    overlap = (rock.radius[a] + rock.radius[b] - gap[a, b]).max()
+    assert found["largest_overlap"] == pytest.approx(overlap / rock.radius.mean())
