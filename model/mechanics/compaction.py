@@ -28,11 +28,13 @@ from model.mechanics.grains import Array, along_hilbert_curve, at_rest, scaled_m
 from model.mechanics.neighbours import find_pairs
 from model.mechanics.servo import STANDING, Servo
 from model.mechanics.sizes import Sizes, draw_radii
+from model.mechanics.tiles import tiled
 
 COMPACTION = 1e-3  # least pressure of phase 2, over k_n
 SHEAR_STIFFNESS = 1.0 / 2.5  # over the normal stiffness, while packing
 WALL_LAYER = 6.0  # mean radii from each wall in which porosity is not measured
 PATCH = 16  # grains strewn over each patch
+RING = 12.0  # mean radii around a cell in which floaters are fitted to measure it
 RESTING_FRICTION = 10.0  # of the last phase
 APART = 1e-5  # mean contact force over k_n r below which strewn grains count as parted
 REST = Stop(ratio=1e-3, stress=5e-3)
@@ -68,7 +70,8 @@ def attempt(
 ) -> Trial:
     """Pack by one recipe, between walls or in a periodic cell; other arguments as for `strewn`.
 
-    `fits` fits the floaters of a specimen between walls.
+    `fits` fits floaters into their voids; those of a periodic cell where it is repeated, so that
+    they count in the porosity only.
     """
     rng = np.random.Generator(np.random.PCG64(seeds))
     specimen = strewn(size, law, porosity, recipe.start, rng, Cell if periodic else Specimen)
@@ -76,7 +79,12 @@ def attempt(
     none = np.empty(0, np.int64)
     fitted = none, none
     if isinstance(specimen, Cell):
-        return Trial(specimen, recipe, specimen.porosity, rested, fitted)
+        found = specimen.porosity
+        if fits:
+            sides = specimen.box[[1, 3]] - specimen.box[[0, 2]]
+            part = tiled(specimen, sides + 2.0 * RING, fits=True)
+            found = measures.porosity(part.x, part.y, part.radius, specimen.box)
+        return Trial(specimen, recipe, found, rested, fitted)
     if fits:
         fitted = fit_floaters(specimen)
     grains = specimen.grains

@@ -12,12 +12,11 @@ from model.mechanics import measures
 from model.mechanics.cell import Cell
 from model.mechanics.compaction import WALL_LAYER, Trial
 from model.mechanics.equilibrium import Specimen
-from model.mechanics.floaters import fit
 from model.mechanics.grains import Array
 from model.mechanics.lattices import CELL_AREA, lattice
 from model.mechanics.sizes import sizes_of
 from model.mechanics.targets import Target, meet
-from model.mechanics.tiles import tiled
+from model.mechanics.tiles import Tiled, bounds, tiled
 from model.products import Packing
 from model.region import Region, bounding_box
 
@@ -86,8 +85,9 @@ def pack(
     fits = floaters == "fit"
     if packing == "periodic":
         side = np.sqrt(tile * np.pi * law.mean_square / (1.0 - target.expected_porosity))
-        trial = meet(target, np.array([side, side]), law, seed, periodic=True)
-        return _tiled_product(trial, size, mean_radius, centre, fits=fits)
+        trial = meet(target, np.array([side, side]), law, seed, fits=fits, periodic=True)
+        assert isinstance(trial.specimen, Cell)
+        return _tiled_product(trial, tiled(trial.specimen, size, fits=fits), mean_radius, centre)
     size = np.maximum(size, LEAST_WIDTH + 2.0 * WALL_LAYER)
     trial = meet(target, size, law, seed, fits=fits)
     return _product(trial, mean_radius, centre)
@@ -130,48 +130,22 @@ def _product(trial: Trial, mean_radius: float, centre: Array) -> Packing:
     )
 
 
-def _tiled_product(
-    trial: Trial, size: Array, mean_radius: float, centre: Array, *, fits: bool
-) -> Packing:
-    """Copies of a periodic cell over a rectangle of `size` (mean radii), in metres.
-
-    Counts and coordination are those of the cell's grains, which have no edge.
-    """
-    cell = trial.specimen
-    assert isinstance(cell, Cell)
-    part = tiled(cell, size)
-    x, y, radius = part.x.copy(), part.y.copy(), part.radius.copy()
-    one, two, *_ = cell.contacts()
-    n = len(cell.grains.x)
-    counts = (np.bincount(one, minlength=n) + np.bincount(two, minlength=n))[part.twin]
-    walls = np.array(
-        [(x - radius).min(), (x + radius).max(), (y - radius).min(), (y + radius).max()]
-    )
-    stays = np.ones(len(part.a), dtype=bool)
-    made = np.empty(0, np.int64), np.empty(0, np.int64)
-    if fits:
-        made = fit(x, y, radius, counts < 2, walls)
-        moved = radius != part.radius
-        stays = ~(moved[part.a] | moved[part.b])
-        counts = counts + np.bincount(np.concatenate(made), minlength=len(x))
-        counts -= np.bincount(np.r_[part.a[~stays], part.b[~stays]], minlength=len(x))
-    a, b = np.concatenate((part.a[stays], made[0])), np.concatenate((part.b[stays], made[1]))
-    order = np.lexsort((b, a))
-    none = np.zeros(len(made[0]))
+def _tiled_product(trial: Trial, part: Tiled, mean_radius: float, centre: Array) -> Packing:
+    """Copies of a periodic cell in metres; counts leave out what the end of the copies cuts."""
     return Packing(
-        x=centre[0] + mean_radius * x,
-        y=centre[1] + mean_radius * y,
-        radius=mean_radius * radius,
-        contact_a=a[order],
-        contact_b=b[order],
-        normal_force=mean_radius * np.concatenate((part.overlap[stays], none))[order],
-        shear_force=mean_radius * np.concatenate((part.shear[stays], none))[order],
-        box=mean_radius * walls + np.repeat(centre, 2),
+        x=centre[0] + mean_radius * part.x,
+        y=centre[1] + mean_radius * part.y,
+        radius=mean_radius * part.radius,
+        contact_a=part.a,
+        contact_b=part.b,
+        normal_force=mean_radius * part.overlap,
+        shear_force=mean_radius * part.shear,
+        box=mean_radius * bounds(part.x, part.y, part.radius) + np.repeat(centre, 2),
         porosity=np.array(trial.porosity),
-        coordination=np.array(counts[counts >= 2].mean()),
-        floaters=np.array(np.count_nonzero(counts < 2)),
+        coordination=np.array(part.counts[part.counts >= 2].mean()),
+        floaters=np.array(np.count_nonzero(part.counts < 2)),
         packing_friction=np.array(trial.recipe.friction),
         packing_pressure=np.array(trial.recipe.pressure),
-        unbalanced_ratio=np.array(cell.run.ratio),
-        steps=np.array(cell.steps),
+        unbalanced_ratio=np.array(trial.specimen.run.ratio),
+        steps=np.array(trial.specimen.steps),
     )

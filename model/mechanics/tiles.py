@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from model.mechanics.cell import Cell
+from model.mechanics.floaters import fit
 from model.mechanics.grains import Array
 
 
@@ -21,13 +22,15 @@ class Tiled(NamedTuple):
     b: Array
     overlap: Array  # (c,)
     shear: Array  # (c,)
+    counts: Array  # (n,) contacts of each grain, those too that the rectangle's end cuts
 
 
-def tiled(cell: Cell, size: Array) -> Tiled:
-    """Copies of a cell whose centres lie in a rectangle of `size` (width, height).
+def tiled(cell: Cell, size: Array, *, fits: bool = False) -> Tiled:
+    """Copies of the grains of a cell that lie in a rectangle of `size` (width, height).
 
     Contacts across the edges of the copies are those of the cell with its images, so that an
-    edge is like any other place; a contact is cut only where the rectangle ends.
+    edge is like any other place; a contact is cut only where the rectangle ends. `fits` fits
+    floaters into their voids, so that they touch three others without force.
     """
     grains, n = cell.grains, len(cell.grains.x)
     sides = cell.box[[1, 3]] - cell.box[[0, 2]]
@@ -53,7 +56,8 @@ def tiled(cell: Cell, size: Array) -> Tiled:
     order = np.lexsort((second, first))
     of = of[order]
     twin = np.tile(np.arange(n), len(copy))
-    return Tiled(
+    counts = np.bincount(a, minlength=n) + np.bincount(b, minlength=n)
+    part = Tiled(
         x[inside],
         y[inside],
         np.tile(grains.radius, len(copy))[inside],
@@ -62,4 +66,27 @@ def tiled(cell: Cell, size: Array) -> Tiled:
         second[order],
         overlap[of],
         shear[of],
+        counts[twin[inside]],
     )
+    return _fitted(part) if fits else part
+
+
+def _fitted(part: Tiled) -> Tiled:
+    """The same with floaters fitted into their voids; `floaters.fit`."""
+    x, y, radius = part.x.copy(), part.y.copy(), part.radius.copy()
+    one, two = fit(x, y, radius, part.counts < 2, bounds(x, y, radius))
+    moved = radius != part.radius
+    stays = ~(moved[part.a] | moved[part.b])
+    gone = np.concatenate((part.a[~stays], part.b[~stays]))
+    counts = part.counts + np.bincount(np.concatenate((one, two)), minlength=len(x))
+    counts -= np.bincount(gone, minlength=len(x))
+    a, b = np.concatenate((part.a[stays], one)), np.concatenate((part.b[stays], two))
+    order, none = np.lexsort((b, a)), np.zeros(len(one))
+    overlap, shear = (np.concatenate((f[stays], none))[order] for f in (part.overlap, part.shear))
+    return Tiled(x, y, radius, part.twin, a[order], b[order], overlap, shear, counts)
+
+
+def bounds(x: Array, y: Array, radius: Array) -> Array:
+    """The box (4,) xmin, xmax, ymin, ymax around discs."""
+    low_x, low_y = (x - radius).min(), (y - radius).min()
+    return np.array([low_x, (x + radius).max(), low_y, (y + radius).max()])

@@ -8,6 +8,7 @@ from model.mechanics.compaction import attempt
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import FIRE, Stop
 from model.mechanics.grains import at_rest
+from model.mechanics.measures import porosity
 from model.mechanics.packing import pack
 from model.mechanics.servo import STANDING
 from model.mechanics.sizes import sizes_of
@@ -143,6 +144,9 @@ def test_a_periodic_packing_covers_a_region(floaters: str) -> None:
     listed = rock.contact_a * n + rock.contact_b
     assert set((a * n + b).tolist()) <= set(listed.tolist())
     assert np.all(np.diff(listed) > 0)
+    inner = rock.box + 6.0 * rock.radius.mean() * np.array([1.0, -1.0, 1.0, -1.0])
+    measured = porosity(rock.x, rock.y, rock.radius, inner)
+    assert measured == pytest.approx(float(rock.porosity), abs=0.003)
     if floaters == "leave":
         assert len(a) == len(listed)
     else:
