@@ -47,12 +47,25 @@ def _written(aside: Path, path: Path, fill: Callable[[netCDF4.Dataset], bool]) -
     except (RuntimeError, PermissionError) as error:  # its words for whatever happened
         if type(error) not in (RuntimeError, PermissionError):
             raise
-        with open(aside, "ab", buffering=0) as probe, naming(path):
-            probe.write(bytes(PROBE_BYTES))  # tells what the library does not
-            os.fsync(probe.fileno())
+        _give_up(aside, path)
         why = f"netCDF cannot write it ({error}); most often the disk is full"
         raise OSError(errno.EIO, why, str(path)) from error
     return good
+
+
+def _give_up(aside: Path, path: Path) -> None:
+    """Raise the OSError that the library met, if the disk still gives it.
+
+    The file stays open, empty: the library may not have let go of it, and would take another
+    for it that is given its number.
+    """
+    probe = os.open(aside, os.O_WRONLY | os.O_TRUNC)
+    try:
+        with naming(path):
+            os.write(probe, bytes(PROBE_BYTES))
+            os.fsync(probe)
+    finally:
+        os.truncate(probe, 0)
 
 
 def _detach(path: Path) -> None:

@@ -233,7 +233,7 @@ path, folder = Path(sys.argv[1]), Path(sys.argv[2])
 made = toys.prepared(path, folder)
 dataset = made.folder / "dataset.nc"
 whole = dataset.stat().st_size
-for bytes in (*(whole * part // 20 for part in range(20)), 2 * whole):
+for bytes in (*(whole * part // 20 for part in range(20)), 10 * whole):
     # the system refuses all beyond, as a full disk does
     resource.setrlimit(resource.RLIMIT_FSIZE, (bytes, resource.RLIM_INFINITY))
     try:
