@@ -4,9 +4,10 @@ A layer between the run and the disk (`fail_at.c`, loaded with LD_PRELOAD into t
 workers, so that it sees what netCDF and HDF5 write as well) counts all calls that create, write,
 flush, rename or remove something in the results folder. Each of them fails in a run of its own:
 in a new folder; in one that holds the results of an earlier, smaller study of the same name;
-with every product stored, while the dataset is made anew; and while figures are drawn. Each run
-must end with the status that its outcome has and one line that names the place; all that was
-there must be whole; the next run must complete with the same bits.
+with every product stored, while the dataset is made anew; and while figures are drawn. The three
+kinds of fault take turns over the calls. Each run must end with the status that its outcome has
+and one line that names the place; all that was there must be whole; the next run must complete
+with the same bits.
 
 It needs Linux and a C compiler (`cc`), which nothing else of demflow does.
 """
@@ -22,9 +23,10 @@ import struct
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import sweep
 from sweep.results import open_results
@@ -146,60 +148,67 @@ def run() -> Result:
     disk = start(folder)
     if disk is None:
         return Result("not run: it needs Linux and a C compiler", "0 faults", False)
-    lines: list[str] = []
-    small = toys.write_study(folder, seeds=(1,), stresses=(), rates=(1.0,))
-    earlier = folder / "earlier"
+    trials = [trial for way in (compute, draw) for trial in way(disk)]
+    disk.process.communicate()
+    shutil.rmtree(folder)
+    problems = [f"{trial.kind}, {trial.what}: {p}" for trial in trials for p in trial.problems]
+    where = Counter(trial.where for trial in trials)
+    calls = Counter(trial.what.partition(" ")[0] for trial in trials)
+    lines = [*problems, *(f"{name}: {count} faults" for name, count in where.items())]
+    lines.append(json.dumps(dict(calls)))
+    return Result(
+        f"{len(problems)} problems after {len(trials)} faults", "0", not problems, "\n".join(lines)
+    )
+
+
+class Trial(NamedTuple):
+    """What one fault did."""
+
+    where: str
+    kind: str
+    what: str  # the call that failed, and its file
+    problems: list[str]
+
+
+def compute(disk: Disk) -> Iterator[Trial]:
+    """Let each call fail by which products and dataset are written."""
+    small = toys.write_study(disk.folder, seeds=(1,), stresses=(), rates=(1.0,))
+    earlier = disk.folder / "earlier"
     assert disk.run(small) == 0
     disk.results.rename(earlier)
-    study = toys.write_study(folder, seeds=(1,), stresses=(), rates=(1.0, 2.0))
+    study = toys.write_study(disk.folder, seeds=(1,), stresses=(), rates=(1.0, 2.0))
     assert disk.run(study) == 0
     calm = open_results(disk.results / "toy")
-    stored = folder / "stored"
+    stored = disk.folder / "stored"
     shutil.copytree(disk.results, stored)
     shutil.copytree(earlier / "toy", stored / "toy", dirs_exist_ok=True)
-    trials, described = 0, 0
-    kinds: Counter[str] = Counter()
     starts = {"a new folder": None, "an earlier study": earlier, "all stored": stored}
-    for first, (name, before) in enumerate(starts.items()):
+    for name, before in starts.items():
         _reset(disk, before)
         assert disk.run(study) == 0
-        calls, collecting = disk.calls, False
-        lines.append(f"{name}: {calls} calls")
-        described += 1
-        for turn in range(1, calls + 1):
-            for number, (kind, (error, lasting)) in enumerate(KINDS.items()):
-                if before is not stored and (collecting or (turn + first) % len(KINDS) != number):
-                    continue  # one kind in each of the first two; the last tries all, and datasets
-                _reset(disk, before)
-                kept = products(disk.results)
-                status = disk.run(study, turn, error, lasting)
-                what, trials = disk.what, trials + 1
-                if not what:
-                    kinds["not reached"] += 1  # workers answer in another order now and then
-                    continue
-                kinds[what.split()[0]] += 1
-                collecting = collecting or "/dataset.nc" in what
-                problems = [
-                    *said(disk, status, os.strerror(error)),
-                    *harm(disk.results, kept),
-                    *(() if status else outcome(disk.results, calm)),
-                ]
-                if (again := disk.run(study)) != 0:
-                    problems.append(f"the next run ends with {again}: {disk.log.read_text()}")
-                else:
-                    problems += outcome(disk.results, calm)
-                problems += [f"left: {path}" for path in leftovers(disk.results)]
-                lines += [f"{kind}, {what}: {problem}" for problem in problems]
-    trials += draw(disk, lines, kinds)
-    described += 1
-    disk.process.communicate()
-    faults = len(lines) - described
-    lines.append(f"{trials} faults: {json.dumps(dict(kinds))}")
-    shutil.rmtree(folder)
-    return Result(f"{faults} problems after {trials} faults", "0", faults == 0, "\n".join(lines))
+        for turn, kind, error in _turns(disk.calls):
+            _reset(disk, before)
+            kept = products(disk.results)
+            status = disk.run(study, turn, *error)
+            what = disk.what
+            if before is not stored and "/dataset.nc" in what:
+                break  # of the same products the last of the starts makes it
+            if not what:
+                continue  # workers answer in another order now and then
+            problems = [
+                *said(disk, status, os.strerror(error[0])),
+                *harm(disk.results, kept),
+                *(() if status else outcome(disk.results, calm)),
+            ]
+            if (again := disk.run(study)) != 0:
+                problems.append(f"the next run ends with {again}: {disk.log.read_text()}")
+            else:
+                problems += outcome(disk.results, calm)
+            problems += [f"left: {path}" for path in leftovers(disk.results)]
+            yield Trial(name, kind, what, problems)
 
 
-def draw(disk: Disk, lines: list[str], kinds: Counter[str]) -> int:
+def draw(disk: Disk) -> Iterator[Trial]:
     """Let each call fail by which figures and report of the quickstart are written."""
     _reset(disk, None)
     study = STUDIES / "quickstart.yaml"
@@ -207,22 +216,23 @@ def draw(disk: Disk, lines: list[str], kinds: Counter[str]) -> int:
     folder = disk.results / sweep.load_study(study).name
     drawn = {path.name for path in (folder / "figures").iterdir()}
     assert disk.run(study, do="report") == 0
-    calls, trials = disk.calls, 0
-    lines.append(f"figures and report: {calls} calls")
+    for turn, kind, error in _turns(disk.calls):
+        (folder / "report.html").unlink(missing_ok=True)
+        shutil.rmtree(folder / "figures", ignore_errors=True)
+        status = disk.run(study, turn, *error, do="report")
+        what = disk.what
+        problems = [*said(disk, status, os.strerror(error[0])), *harm(disk.results, {})]
+        if (again := disk.run(study, do="report")) != 0:
+            problems.append(f"the next report ends with {again}: {disk.log.read_text()}")
+        elif {path.name for path in (folder / "figures").iterdir()} != drawn:
+            problems.append("figures are missing")
+        yield Trial("figures and report", kind, what, problems)
+
+
+def _turns(calls: int) -> Iterator[tuple[int, str, tuple[int, bool]]]:
+    """Every call once, with one kind of fault after the other."""
     for turn in range(1, calls + 1):
-        for kind, (error, lasting) in KINDS.items():
-            (folder / "report.html").unlink(missing_ok=True)
-            shutil.rmtree(folder / "figures", ignore_errors=True)
-            status = disk.run(study, turn, error, lasting, do="report")
-            what, trials = disk.what, trials + 1
-            kinds[what.partition(" ")[0]] += 1
-            problems = [*said(disk, status, os.strerror(error)), *harm(disk.results, {})]
-            if (again := disk.run(study, do="report")) != 0:
-                problems.append(f"the next report ends with {again}: {disk.log.read_text()}")
-            elif {path.name for path in (folder / "figures").iterdir()} != drawn:
-                problems.append("figures are missing")
-            lines += [f"{kind}, {what}: {problem}" for problem in problems]
-    return trials
+        yield turn, *list(KINDS.items())[turn % len(KINDS)]
 
 
 def _reset(disk: Disk, before: Path | None) -> None:
