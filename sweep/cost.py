@@ -57,6 +57,7 @@ class Costs:
 
     def __init__(self) -> None:
         self.known: dict[str, dict[int, Spent]] = {}  # by key, then by step of the size
+        self.start: float | None = None  # s until the workers of a run stood, the last time
 
     @classmethod
     def read(cls, store: Store) -> Costs:
@@ -72,13 +73,14 @@ class Costs:
                     key: {int(step): Spent(*entry) for step, entry in sizes.items()}
                     for key, sizes in told["stages"].items()
                 }
+                costs.start = told.get("start")
         except (OSError, ValueError, TypeError, AttributeError, KeyError):
             pass
         return costs
 
     def write(self, store: Store) -> None:
         """Keep the totals for the next run."""
-        told = {"machine": machine(), "stages": self.known}
+        told = {"machine": machine(), "start": self.start, "stages": self.known}
         write_durably(_file(store), json.dumps(told, indent=1).encode())
 
     def add(self, kind: Kind, seconds: float, stored: int, memory: int = 0) -> None:

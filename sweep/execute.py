@@ -91,7 +91,7 @@ def execute(
             ledger.note_old_products()
         travel, judge = not pool.shares_store, Judge(schedule.plan, store, limits)
         jobs = Jobs(schedule.plan, store, scene_of, table, limits.memory, travel)
-        _Execution(ledger, jobs, judge, pool, progress).loop()
+        _Execution(ledger, jobs, judge, pool, progress, begin).loop()
     finally:
         with uninterrupted():
             pool.close()
@@ -118,6 +118,7 @@ class _Execution:
         judge: Judge,
         pool: Pool,
         progress: Callable[[Progress], None] | None,
+        begin: float,
     ):
         self.ledger, self.schedule, self.report = ledger, ledger.schedule, ledger.report
         self.jobs, self.judge, self.pool, self.progress = jobs, judge, pool, progress
@@ -133,7 +134,7 @@ class _Execution:
         self.unanswered: list[tuple[str, _Flight]] = []  # answers that wait on their worker
         self.submitted = 0
         self.started = False  # whether a stage run was handed out
-        self.begin = self.alive = time.monotonic()
+        self.begin, self.alive = begin, time.monotonic()
 
     def loop(self) -> None:
         """Hand out, wait, take in, until nothing is left to do."""
@@ -225,7 +226,9 @@ class _Execution:
         self, address: str, bundle: Bundle, function: Callable[[Any], Any], argument: Any
     ) -> None:
         self.submitted += 1
-        self.started = self.started or bool(bundle.runs)
+        if bundle.runs and not self.started:
+            self.started = True
+            self.schedule.costs.start = time.monotonic() - self.begin
         future = self.pool.submit(address, function, argument, f"{self.name}-{self.submitted}")
         flight = _Flight(bundle, future, time.monotonic())
         self._line(address).append(flight)

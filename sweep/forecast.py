@@ -52,6 +52,7 @@ def forecast(prepared: Prepared, workers: int) -> dict[str, Any]:
                 "bytes": _sum(_times(n, costs.stored(kind)) for kind, n in own.items()),
             }
         )
+    elapsed = _elapsed(made, left, seconds, workers)
     peaks = [costs.memory(kind) for kind in waiting]
     peak = None if None in peaks else max(filter(None, peaks), default=0.0)
     return {
@@ -60,7 +61,7 @@ def forecast(prepared: Prepared, workers: int) -> dict[str, Any]:
         "impossible": len(made.impossible),
         "stages": stages,
         "to_run": sum(waiting.values()),
-        "seconds": _elapsed(made, left, seconds, workers),
+        "seconds": _sum((costs.start or 0.0, elapsed)) if waiting else 0.0,
         "bytes": _sum(stage["bytes"] for stage in stages),
         "memory": None if peak is None else peak * workers,
     }

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import logging
+import threading
 import time
+from concurrent.futures import CancelledError
 from contextlib import suppress
 from typing import Any
 
@@ -15,6 +17,7 @@ from sweep.errors import RunError, SchedulerError
 from sweep.pools import Pool
 
 CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
+RESTART_SECONDS = 10.0  # s in which nannies are to end the workers that must go, and start others
 
 
 class RemotePool(Pool):
@@ -42,6 +45,7 @@ class RemotePool(Pool):
             raise SchedulerError(f"no Dask scheduler answers at {scheduler}: {error}") from error
         self._workers: dict[str, Any] = {}
         self._asked = -float("inf")
+        self._restarts: list[threading.Thread] = []
 
     def addresses(self) -> set[str]:
         """Workers that are there."""
@@ -70,9 +74,17 @@ class RemotePool(Pool):
         return self._workers
 
     def kill(self, address: str) -> None:
-        """Have the worker's nanny start it anew; without a nanny it is left to itself."""
-        with suppress(ValueError, OSError, TimeoutError):
-            self.client.restart_workers([address], timeout=30, raise_for_error=False)
+        """Have the worker's nanny start it anew; without a nanny it is left to itself.
+
+        That takes as long as its successor needs to stand: nobody waits for it here.
+        """
+        restart = threading.Thread(target=self._restart, args=(address,), daemon=True)
+        restart.start()
+        self._restarts.append(restart)
+
+    def _restart(self, address: str) -> None:
+        with suppress(ValueError, OSError, TimeoutError, CancelledError):
+            self.client.restart_workers([address], timeout=RESTART_SECONDS, raise_for_error=False)
 
     def memory(self, address: str) -> float:
         """Resident memory of a worker as it told its scheduler last, bytes."""
@@ -80,7 +92,10 @@ class RemotePool(Pool):
         return float(worker.get("metrics", {}).get("memory", 0.0))
 
     def close(self) -> None:
-        """Leave the cluster as it was found."""
+        """Leave the cluster as it was found, its workers ended that were told to."""
+        patience = time.monotonic() + RESTART_SECONDS
+        for restart in self._restarts:
+            restart.join(max(0.0, patience - time.monotonic()))
         self.client.close(timeout=10)
         self._config.__exit__(None, None, None)
 
