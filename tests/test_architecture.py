@@ -162,6 +162,19 @@ def test_outer_libraries_have_one_door(library):
     assert users <= DOORS[library]
 
 
+def test_nothing_that_is_read_can_be_executed():
+    """Studies and results are data: no module has the means to run what it reads."""
+    for module, names in IMPORTS.items():
+        assert not [n for n in names if lies_in(n, ("pickle", "marshal", "shelve", "dill"))], module
+    for path in ROOT.glob("sweep/**/*.py"):
+        calls = [
+            node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)
+        ]
+        for call in calls:
+            called = ast.unparse(call.func)
+            assert called not in ("eval", "exec", "compile", "__import__", "np.load"), path
+
+
 def test_the_rule_can_fail():
     """The reader of imports finds what is there."""
     assert "model.compile.kernel" in IMPORTS["model.flow.factor"]

@@ -145,15 +145,17 @@ def test_a_product_that_is_damaged_on_its_way_is_computed_again(cluster, tmp_pat
     assert "came damaged from a worker" in finished.damaged[0]
 
 
-def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize("library", ["demflow", "numpy", "qdldl"])
+def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, capsys, library):
     address = cluster.address
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
-    own = worker.versions() | {"numpy": "0.1"}
+    own = worker.versions() | {library: "0.0.1"}
     monkeypatch.setattr("sweep.execute.versions", lambda: own)
     place = ("--results", str(tmp_path / "results"), "--scheduler", address)
     assert toys.demflow("run", str(path), *place) == 2
     told = capsys.readouterr().err
-    assert f"numpy {worker.versions()['numpy']} (here 0.1)" in told
+    assert f"{library} {worker.versions()[library]} (here 0.0.1)" in told
+    assert "give all the same versions" in told
     assert list(tmp_path.rglob("*.product")) == []
 
 
