@@ -171,7 +171,8 @@ class _Version(argparse.Action):
 
 
 def _first_line(command: Callable[..., Any]) -> str:
-    return (command.__doc__ or "").splitlines()[0].rstrip(".").lower()
+    line = (command.__doc__ or "").splitlines()[0].rstrip(".")
+    return line[0].lower() + line[1:]
 
 
 if __name__ == "__main__":

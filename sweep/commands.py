@@ -94,7 +94,7 @@ def plan(options: argparse.Namespace) -> int:
     if told["impossible"]:
         print(f"{_count(told['impossible'], 'case')} cannot be: see demflow status")
     rows = [("stage", "runs", "shared", "stored", "failed", "to run", "each", "time", "disk")]
-    for stage in told["stages"]:
+    for stage in (stage for stage in told["stages"] if stage["runs"]):
         counts = (stage[key] for key in ("runs", "shared", "stored", "failed", "to_run"))
         needed = stage["to_run"] > 0
         rows.append(
@@ -113,8 +113,8 @@ def plan(options: argparse.Namespace) -> int:
     for name, unit in (("seconds", duration), ("bytes", size), ("memory", size)):
         label = {"seconds": "time", "bytes": "disk"}.get(name, name)
         print(f"expected {label}: {_known(told[name], unit)}")
-    if told["seconds"] is None:
-        print("?: depends on a stage that was never run in this results folder")
+    if None in (told["seconds"], told["memory"]):
+        print("?: not known before the stages have run in this results folder")
     return GOOD
 
 

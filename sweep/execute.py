@@ -368,4 +368,5 @@ class _Execution:
             workers = len(self.pool.addresses())
             tally, left = self.ledger.tally, self.schedule.seconds_left(workers)
             cases = len(self.ledger.plan.cases)
-            self.progress(Progress(cases, tally.done, tally.failed, left))
+            compiling = bool(self.compiling)
+            self.progress(Progress(cases, tally.done, tally.failed, left, compiling))

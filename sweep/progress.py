@@ -15,6 +15,7 @@ class Progress(NamedTuple):
     done: int
     failed: int
     seconds_left: float | None  # None while nothing is known of the stages to come
+    compiling: bool = False  # whether some worker compiles kernels
 
     @property
     def left(self) -> int:
@@ -65,16 +66,21 @@ class ProgressLine:
 
 def line(progress: Progress) -> str:
     """Return one line of text: done, failed, left, time to go."""
-    to_go = ""
-    if progress.left:
-        known = progress.seconds_left is not None
-        to_go = (
-            f", {duration(progress.seconds_left)} to go" if known else ", time to go unknown yet"
-        )
-    return (
+    told = (
         f"{progress.done} of {progress.cases} cases done, {progress.failed} failed, "
-        f"{progress.left} left{to_go}"
+        f"{progress.left} left"
     )
+    if not progress.left:
+        return told
+    if progress.compiling:
+        return f"{told}, compiling: once on this machine"
+    if progress.seconds_left is None:
+        return f"{told}, time to go unknown yet"
+    return f"{told}, {_span(progress.seconds_left)} to go"
+
+
+def _span(seconds: float) -> str:
+    return "less than a second" if seconds < 1.0 else duration(seconds)
 
 
 def duration(seconds: float | None) -> str:

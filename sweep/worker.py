@@ -72,7 +72,7 @@ class Outcome:
     message: str = ""
     seconds: float = 0.0
     stored: int = 0  # bytes
-    memory: int = 0  # largest resident memory of this process so far, bytes
+    memory: int = 0  # largest resident memory of this process so far, bytes; 0 if it compiled
     lost: str | None = field(default=None, kw_only=True)
     file: bytes = field(default=b"", kw_only=True)  # what a worker without a store would store
 
@@ -202,7 +202,9 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     meta |= {"seconds": seconds, "cpu_seconds": cpu_end - cpu}
     meta |= {"machine": machine(), "host": socket.gethostname()}
     meta |= {"worker": os.getpid(), "versions": versions()}
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
+    # what compiling took, once on this machine, is no measure of the next run
+    compiled = compilation.seconds > 0.0
+    memory = 0 if compiled else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
     if status is not Status.DONE:
         held.put_failure(task.id, {**meta, "status": int(status), "message": message})
         return Outcome(task.run, status, message, seconds, memory=memory)
