@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -90,6 +91,10 @@ def run_study(
     """
     if workers < 1:
         raise ValueError(f"workers is {workers}; at least one is needed")
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        # a worker, importing a script that calls this above `if __name__ == "__main__":`;
+        # the run that started it says so, once
+        raise SystemExit(1)
     prepared = prepare(path, results, smoke=smoke, table=table, create=True)
     root = prepared.store.root.parent
     with ExitStack() as held:
