@@ -23,8 +23,12 @@ import struct
 import subprocess
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+from itertools import chain
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -114,11 +118,9 @@ class Disk:
         return bytes(self.state[STATE.size :]).partition(b"\0")[0].decode()
 
 
-def start(folder: Path) -> Disk | None:
-    """Compile the layer and start the process from which runs are forked; None: no compiler."""
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    if compiler is None or not sys.platform.startswith("linux"):
-        return None
+def start(folder: Path, compiler: str) -> Disk:
+    """Compile the layer and start the process from which runs are forked."""
+    folder.mkdir()
     library, shared = folder / "fail_at.so", folder / "state"
     subprocess.run(
         [compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(LAYER), "-ldl"], check=True
@@ -141,16 +143,17 @@ def start(folder: Path) -> Disk | None:
     return Disk(folder, state, process)
 
 
+Way = Callable[[Disk], Iterator["Trial"]]
+
+
 def run() -> Result:
     """Let each call of a run fail in turn, and look what that did."""
-    folder = results_folder() / "faults"
-    folder.mkdir()
-    disk = start(folder)
-    if disk is None:
+    compiler = shutil.which("cc") or shutil.which("gcc")
+    if compiler is None or not sys.platform.startswith("linux"):
         return Result("not run: it needs Linux and a C compiler", "0 faults", False)
-    trials = [trial for way in (compute, draw) for trial in way(disk)]
-    disk.process.communicate()
-    shutil.rmtree(folder)
+    lane = partial(in_a_lane, results_folder(), compiler)
+    with ProcessPoolExecutor(len(WAYS), get_context("spawn")) as lanes:
+        trials = list(chain(*lanes.map(lane, WAYS)))
     problems = [f"{trial.kind}, {trial.what}: {p}" for trial in trials for p in trial.problems]
     where = Counter(trial.where for trial in trials)
     calls = Counter(trial.what.partition(" ")[0] for trial in trials)
@@ -159,6 +162,15 @@ def run() -> Result:
     return Result(
         f"{len(problems)} problems after {len(trials)} faults", "0", not problems, "\n".join(lines)
     )
+
+
+def in_a_lane(folder: Path, compiler: str, way: Way) -> list[Trial]:
+    """What the faults did that fail one of the ways to write, on a disk of its own."""
+    disk = start(folder / f"faults_{way.__name__}", compiler)
+    trials = list(way(disk))
+    disk.process.communicate()
+    shutil.rmtree(disk.folder)
+    return trials
 
 
 class Trial(NamedTuple):
@@ -227,6 +239,9 @@ def draw(disk: Disk) -> Iterator[Trial]:
         elif {path.name for path in (folder / "figures").iterdir()} != drawn:
             problems.append("figures are missing")
         yield Trial("figures and report", kind, what, problems)
+
+
+WAYS = (compute, draw)  # side by side
 
 
 def _turns(calls: int) -> Iterator[tuple[int, str, tuple[int, bool]]]:

@@ -11,6 +11,11 @@ import json
 import random
 import shutil
 import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
 
 from sweep.results import open_results
 from sweep.upkeep import verify
@@ -21,29 +26,55 @@ from tests.sweep import toys
 from tests.sweep.processes import leftovers, products, start
 
 KILLS, MOST_IN_A_ROW = 200, 4
+LANES = 2  # storms at once, each in a folder of its own
+KILLED, STORED, RESUMED = "kills", "kills with products stored", "runs resumed"
+FAULTS = (
+    "processes left",
+    "products lost",
+    "products computed again",
+    "runs not resumed",
+    "runs that computed what was stored",
+    "datasets that differ",
+    "files left",
+)
 SECONDS_TO_END = 5.0  # s within which no process may be left
 
 
 def run() -> Result:
-    """Kill, look what is left, resume, compare."""
+    """Kill, look what is left, resume, compare; in some folders side by side."""
     folder = results_folder() / "killed_runs"
     folder.mkdir()
     rates = tuple(float(k) for k in range(1, 17))
     path = toys.write_study(folder, rates=rates, seconds=0.05)
     begin = time.monotonic()
-    status, out, _ = start(path, folder / "calm", "--json").finish()
+    _, out, _ = start(path, folder / "calm", "--json").finish()
     whole = time.monotonic() - begin
-    calm, runs = open_results(folder / "calm" / "toy"), json.loads(out)["computed"]
-    chance = random.Random(1)
-    wrong: dict[str, int] = dict.fromkeys(
-        ("processes left", "products computed again", "products lost", "runs not resumed",
-         "runs that computed what was stored", "datasets that differ", "files left"), 0
-    )  # fmt: skip
-    kills = resumed = with_products = 0
-    results = folder / "results"
+    runs = json.loads(out)["computed"]
+    with ProcessPoolExecutor(LANES, get_context("spawn")) as lanes:
+        found = list(lanes.map(partial(storm, path, whole, runs), range(LANES)))
+    shutil.rmtree(folder)
+    counts = {what: sum(wrong[what] for wrong in found) for what in found[0]}
+    kills, stored, resumed = (counts.pop(what) for what in (KILLED, STORED, RESUMED))
+    lines = [
+        f"{kills} kills within {whole:.1f} s, {stored} of them with products stored; "
+        f"{resumed} runs resumed to their end, {runs} stage runs each",
+        *(f"{what}: {count}" for what, count in counts.items()),
+    ]
+    faults = sum(counts.values())
+    return Result(
+        f"{faults} faults in {kills} kills", "0", faults == 0 and kills == KILLS, "\n".join(lines)
+    )
+
+
+def storm(path: Path, whole: float, runs: int, lane: int) -> Counter[str]:
+    """Kill and resume in a folder until this lane has its share of kills; what happened."""
+    chance = random.Random(lane)
+    calm = open_results(path.parent / "calm" / "toy")
+    results = path.parent / f"results_{lane}"
     before: dict[str, tuple[int, int]] = {}
-    while kills < KILLS:
-        for _ in range(min(chance.randint(1, MOST_IN_A_ROW), KILLS - kills)):
+    told: Counter[str] = Counter(dict.fromkeys((KILLED, STORED, RESUMED, *FAULTS), 0))
+    while (left := KILLS // LANES - told[KILLED]) > 0:
+        for _ in range(min(chance.randint(1, MOST_IN_A_ROW), left)):
             running = start(path, results)
             time.sleep(chance.uniform(0.0, whole))
             if running.process.poll() is not None:  # resumed so late that it was quicker
@@ -52,32 +83,24 @@ def run() -> Result:
                 break
             running.process.kill()
             running.process.communicate()
-            kills += 1
-            wrong["processes left"] += len(running.left_after(SECONDS_TO_END))
+            told[KILLED] += 1
+            told["processes left"] += len(running.left_after(SECONDS_TO_END))
             after = products(results)
-            with_products += bool(after)
-            wrong["products lost"] += len(before.keys() - after.keys())
-            wrong["products computed again"] += _changed(before, after)
+            told[STORED] += bool(after)
+            told["products lost"] += len(before.keys() - after.keys())
+            told["products computed again"] += _changed(before, after)
             before = after
         status, out, _ = start(path, results, "--json").finish()
-        resumed += 1
-        wrong["runs not resumed"] += status != 0
-        wrong["runs that computed what was stored"] += json.loads(out)["computed"] != runs - len(
-            before
-        )
-        wrong["products computed again"] += _changed(before, products(results))
-        wrong["datasets that differ"] += bool(differing(calm, open_results(results / "toy")))
-        wrong["files left"] += len(leftovers(results)) + len(verify(results).damaged)
+        told[RESUMED] += 1
+        told["runs not resumed"] += status != 0
+        computed = json.loads(out)["computed"] if out else -1
+        told["runs that computed what was stored"] += computed != runs - len(before)
+        told["products computed again"] += _changed(before, products(results))
+        told["datasets that differ"] += bool(differing(calm, open_results(results / "toy")))
+        told["files left"] += len(leftovers(results)) + len(verify(results).damaged)
         shutil.rmtree(results)
         before = {}
-    shutil.rmtree(folder)
-    lines = [
-        f"{kills} kills within {whole:.1f} s, {with_products} of them with products stored; "
-        f"{resumed} runs resumed to their end, {runs} stage runs each",
-        *(f"{what}: {count}" for what, count in wrong.items()),
-    ]
-    faults = sum(wrong.values())
-    return Result(f"{faults} faults in {kills} kills", "0", faults == 0, "\n".join(lines))
+    return told
 
 
 def _changed(before: dict[str, tuple[int, int]], after: dict[str, tuple[int, int]]) -> int:
