@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import logging
 import sys
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
@@ -27,9 +26,6 @@ def run(options: argparse.Namespace) -> int:
     from sweep.engine import run_study
     from sweep.progress import ProgressLine
 
-    # what Dask's loops report of a dead worker is judged by the run, and told as an outcome
-    for name in ("asyncio", "distributed.batched", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
     line = ProgressLine()
     try:
         finished = run_study(

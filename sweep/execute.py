@@ -25,7 +25,7 @@ from sweep.errors import RunError, SchedulerError
 from sweep.jobs import Jobs, ParentLostError
 from sweep.ledger import Executed, Ledger
 from sweep.limits import Excess, Judge
-from sweep.pools import Pool
+from sweep.pools import Pool, silent_loops
 from sweep.pools.local import LocalPool
 from sweep.pools.remote import RemotePool
 from sweep.progress import Progress
@@ -83,18 +83,19 @@ def execute(
     KeyboardInterrupt passes through, after the workers have been ended.
     """
     begin = time.monotonic()
-    pool: Pool = RemotePool(scheduler) if scheduler else LocalPool(workers)
     limits = limits or Limits()
     ledger = Ledger(schedule, store, limits)
-    try:
-        if anew:
-            ledger.note_old_products()
-        travel, judge = not pool.shares_store, Judge(schedule.plan, store, limits)
-        jobs = Jobs(schedule.plan, store, scene_of, table, limits.memory, travel)
-        _Execution(ledger, jobs, judge, pool, progress, begin).loop()
-    finally:
-        with uninterrupted():
-            pool.close()
+    if anew:
+        ledger.note_old_products()
+    with silent_loops():
+        pool: Pool = RemotePool(scheduler) if scheduler else LocalPool(workers)
+        try:
+            travel, judge = not pool.shares_store, Judge(schedule.plan, store, limits)
+            jobs = Jobs(schedule.plan, store, scene_of, table, limits.memory, travel)
+            _Execution(ledger, jobs, judge, pool, progress, begin).loop()
+        finally:
+            with uninterrupted():
+                pool.close()
     ledger.report.seconds = time.monotonic() - begin
     return ledger.report
 

@@ -152,8 +152,6 @@ class LocalPool(Pool):
 
 def _cluster() -> LocalCluster:
     """A scheduler on the loopback that has no workers yet."""
-    # the loop reports here what is judged in `_replace_fallen`
-    logging.getLogger("tornado.application").setLevel(logging.CRITICAL)
     return LocalCluster(
         n_workers=0,
         threads_per_worker=1,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import threading
 import time
 from concurrent.futures import CancelledError
@@ -30,8 +29,6 @@ class RemotePool(Pool):
         # a parent product may be large, and is meant to travel
         self._config = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
         self.scheduler = scheduler
-        for name in ("distributed", "distributed.client", "distributed.batched"):
-            logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters is said here
         try:
             security = _security(scheduler)
             self.client = Client(
