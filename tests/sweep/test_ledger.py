@@ -1,0 +1,101 @@
+"""What came of runs is entered without any worker: losses, late words of the dead, limits."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sweep.errors import RunError
+from sweep.jobs import Jobs, ParentLostError
+from sweep.ledger import LOST_PRODUCTS, Ledger
+from sweep.limits import Judge
+from sweep.schedule import Schedule
+from sweep.stages import Status
+from sweep.study import Limits
+from sweep.worker import Outcome
+from tests.sweep import toys
+
+
+@pytest.fixture
+def made(tmp_path):
+    """One case of four stages, one after the other, nothing of it stored."""
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    made = toys.prepared(path, tmp_path / "results")
+    assert [made.plan.stage_of(run).name for run in range(4)] == [
+        "pack",
+        "stress",
+        "flow",
+        "observe",
+    ]
+    return made
+
+
+UNLIMITED = Limits()
+
+
+def ledger_of(made, limits=UNLIMITED) -> Ledger:
+    nothing = np.zeros(len(made.plan.runs), dtype=bool)
+    return Ledger(Schedule(made.plan, nothing, nothing), made.store, limits)
+
+
+def store(made, run: int, seconds: float = 0.0) -> None:
+    made.store.put(made.plan.runs[run].id, {"x": np.zeros(3)}, {"seconds": seconds})
+
+
+def test_a_product_that_is_lost_again_and_again_ends_the_run(made):
+    ledger = ledger_of(made)
+    for _ in range(LOST_PRODUCTS):
+        ledger.enter(Outcome(0, Status.DONE))
+        ledger.lost(1, made.plan.runs[0].id, "it is damaged")
+        assert not ledger.schedule.is_done(0)
+    ledger.enter(Outcome(0, Status.DONE))
+    with pytest.raises(RunError, match="it is damaged: again and again"):
+        ledger.lost(1, made.plan.runs[0].id, "it is damaged")
+    assert ledger.report.damaged == ["it is damaged"] * LOST_PRODUCTS
+
+
+def test_what_a_dead_worker_stored_counts_but_not_what_lay_there_before(made):
+    store(made, 0)
+    ledger = ledger_of(made)
+    ledger.note_old_products()
+    store(made, 1)
+    for run in (0, 1, 2):
+        ledger.find_stored(run)
+    assert [ledger.schedule.is_done(run) for run in range(3)] == [False, True, False]
+    assert ledger.report.computed == 1
+
+
+def test_a_conviction_is_recorded_with_its_limits_and_blocks_what_follows(made):
+    ledger = ledger_of(made, Limits(time=2.0))
+    ledger.convict(1, Status.TIMED_OUT, "not done after 2 s")
+    record = made.store.failure(made.plan.runs[1].id)
+    assert (record["status"], record["limits"]) == (2, {"time": 2.0, "memory": None})
+    ledger.enter(Outcome(0, Status.DONE))
+    assert (ledger.schedule.pending, ledger.tally.failed, ledger.report.failed) == (0, 1, 1)
+
+
+def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
+    store(made, 0, seconds=3.0)
+    store(made, 1, seconds=4.0)
+    judge = Judge(made.plan, made.store, Limits(time=10.0))
+    assert judge.of_time([2], 2.9) is None
+    status, why = judge.of_time([2], 3.1)
+    assert (status, "7 s of them in earlier stages" in why) == (Status.TIMED_OUT, True)
+    assert Judge(made.plan, made.store, Limits()).of_time([2], 1e9) is None
+
+
+def test_a_worker_elsewhere_is_sent_a_parent_once_and_again_when_it_lost_it(made):
+    store(made, 0)
+    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
+    packing = made.plan.runs[0].id
+    assert list(jobs.make("a", (1,)).files) == [packing]
+    assert list(jobs.make("a", (1,)).files) == []
+    assert list(jobs.make("b", (1,)).files) == [packing]
+    assert jobs.send_again("a", packing)
+    assert not jobs.send_again("a", packing)  # it was not sent it since: the store lost it
+    assert list(jobs.make("a", (1,)).files) == [packing]
+    jobs.forget("a")
+    made.store.path(packing).unlink()
+    with pytest.raises(ParentLostError) as lost:
+        jobs.make("a", (1,))
+    assert (lost.value.run, lost.value.identity) == (1, packing)
