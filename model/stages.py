@@ -338,7 +338,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=6,
+        version=7,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -347,7 +347,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="model.flow.solvers:flow",
-        version=3,
+        version=4,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

@@ -29,7 +29,7 @@ from model.outcome import ModelError
 MOST_VECTORS = 300
 
 # The reduction of the error is not even; the estimate is taken this much larger.
-CAUTION = 2.0
+CAUTION = 2.5
 
 # Vectors over which changes are taken: the estimate is the worst of them.
 WIDTHS = (1, 2, 3)
@@ -40,10 +40,10 @@ SHORTEST = 3  # vectors before the first estimate
 LATE = 8
 
 # The fast pole lies above the fast end of the window, lower the wider the window is.
-ABOVE, SLOPE = 3.0, 0.25
+ABOVE, SLOPE = 2.0, 0.25
 
 # Poles are powers of this, that sources may share their factors.
-LADDER = 4.0
+LADDER = 2.0
 
 # An estimate is at least this part of the one before: on a stair little changes.
 FALL = 0.1
@@ -51,10 +51,14 @@ FALL = 0.1
 # Round-off that the projection may have, of the tolerance; what is found is a tenth of it.
 NOISE_SHARE = 0.5
 
+# The same for the answer itself, which keeps volume and is differentiated.
+LAST_NOISE = 1e-3
+
 # Part of the way to the tolerance, at the rate seen, that the space grows between two checks
 # that cost as much as several vectors.
 STRIDE = 0.3
 MOST_WAIT = 4
+FEW_PORES = 2000  # up to which a check costs little more than a vector
 
 # Lags at which maps are compared; the error of a map changes slowly in time.
 MAP_CHECKS = 8
@@ -84,7 +88,7 @@ def krylov(problem: Problem) -> Answer:
         growth = Growth(problem, k, space, direct)
         if space.size:
             error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag)))
-        basis = space.close()
+        basis = space.close(LAST_NOISE * problem.tolerance)
         _record(problem, k, basis, direct, answer)
         residual = max(residual, _residual(problem, k, basis, direct))
         work += space.solves
@@ -180,6 +184,7 @@ class Growth:
             if error <= tolerance:
                 return error
             further = math.log(tolerance / error) / math.log(rate)
+            cheap |= self.problem.system.pores <= FEW_PORES
             wait = 1 if cheap else min(MOST_WAIT, math.ceil(STRIDE * further))
         raise ModelError(
             f"krylov reached a relative error of {error:.2g} in {MOST_VECTORS} vectors, not "

@@ -96,7 +96,8 @@ class Subspace:
         self.start = self.count
         if self._append(self.source / self.root):
             last = self.count - 1
-            self._projected[last, last] = self._energy(self._space[: system.pores, last])
+            first = self._space[: system.pores, last]
+            self._projected[last, last] = first @ self._applied(first)
 
     @property
     def size(self) -> int:
@@ -175,25 +176,25 @@ class Subspace:
         self._projected[:m, :m] = self._triangle.T @ self._triangle
         self._space[: system.pores, :m] *= self.root[:, None]
 
-    def close(self) -> Basis:
-        """Complete the space by the constants, so that volume is conserved, and measure it.
+    def close(self, noise: float) -> Basis:
+        """Complete the space by the constants, so that volume is conserved.
 
-        The space is used up by this.
+        The projection is measured where its round-off may exceed `noise`. The space is used
+        up by this.
         """
-        system = self.system
-        self._append(self.root)
-        m = self.count
-        vectors = self._unscaled()
-        triangle = _edge_triangle(system, vectors, m)
-        _, singular, modes = np.linalg.svd(triangle)
-        decay = np.zeros(m)
-        decay[: len(singular)] = singular**2
-        return Basis(
-            vectors[:, :m],
-            Modes(decay, modes.T, modes @ self._load[:m]),
-            self._rows[:, :m],
-            system.storage @ vectors[:, :m],
-        )
+        system, pores = self.system, self.system.pores
+        if self._append(self.root):
+            m = self.count
+            image = self._applied(self._space[:pores, m - 1])
+            column = self._space[:pores, :m].T @ image
+            column[: self.start] = 0.0
+            self._projected[:m, m - 1] = self._projected[m - 1, :m] = column
+        if self.noise() > noise:
+            self.measure()
+        modes = self.modes(self.size)
+        vectors = self._unscaled()[:, : self.count]
+        rows = self._rows[:, : self.count]
+        return Basis(vectors, modes, rows, system.storage @ vectors)
 
     def _unscaled(self) -> np.ndarray:
         """The basis as pressures of all unknowns, in place."""
@@ -245,12 +246,15 @@ class Subspace:
         self._load = np.pad(self._load, (0, full))
         self._rows = np.pad(self._rows, ((0, 0), (0, full)))
 
-    def _energy(self, vector: np.ndarray) -> float:
-        """Σ g (u_i − u_j)² of a vector of √C p, 1/s."""
+    def _applied(self, vector: np.ndarray) -> np.ndarray:
+        """A times a vector of √C p, (pores,)."""
         system = self.system
         u = self.wells.lift(vector / self.root)
-        inner = system.edge_g @ (u[system.edge_i] - u[system.edge_j]) ** 2
-        return float(inner + system.fixed_g @ u[system.fixed_node] ** 2)
+        flow = system.edge_g * (u[system.edge_i] - u[system.edge_j])
+        net = system.excess * u
+        net += np.bincount(system.edge_i, weights=flow, minlength=system.n)
+        net -= np.bincount(system.edge_j, weights=flow, minlength=system.n)
+        return np.asarray(net[: system.pores] / self.root)
 
 
 class Basis(NamedTuple):

@@ -11,7 +11,11 @@ import math
 import numpy as np
 import pytest
 
-from model.analytic.fractures import bilinear_flow, infinite_conductivity_fracture
+from model.analytic.fractures import (
+    bilinear_flow,
+    infinite_conductivity_fracture,
+    uniform_flux_fracture,
+)
 from model.analytic.lattice import (
     HEXAGONAL_POROSITY,
     SQUARE_POROSITY,
@@ -113,6 +117,32 @@ def test_a_fracture_of_infinite_conductivity_follows_gringarten():
         (well,), (), 0.0, tuple(t_Dxf * half_length**2 / DIFFUSIVITY), tolerance=1e-5
     )
     np.testing.assert_allclose(fall(seen), infinite_conductivity_fracture(t_Dxf), rtol=0.03)
+
+
+def test_a_fracture_of_uniform_flux_follows_gringarten():
+    """A row of wells of one rate, each in a pore that it leaves its storage and its pressure."""
+    spacing, arm = 2 * RADIUS, 20
+    places = spacing * np.arange(-arm, arm + 1)
+    row = tuple(
+        Well(
+            name=f"w{k}",
+            at=(float(x), 0.0),
+            radius=math.exp(-math.pi / 2) * spacing,  # Peaceman's
+            rate=1.0 / len(places),
+            wellbore_storage=SQUARE_POROSITY * spacing**2 / K_F,
+        )
+        for k, x in enumerate(places)
+    )
+    half_length = 0.5 * spacing * len(places)
+    assert half_length >= 40 * RADIUS
+    t_Dxf = np.geomspace(0.05, 1.0, 12)
+    times = tuple(t_Dxf * half_length**2 / DIFFUSIVITY)
+    seen = reservoir(SQUARE, BOX, W).observed(row, (), 0.0, times, tolerance=1e-4, record_map=False)
+    expected = uniform_flux_fracture(t_Dxf, places[:, None] / half_length)
+    found = -seen["well_pressure"] / UNIT
+    np.testing.assert_allclose(found, expected, rtol=0.03)
+    from_the_middle = expected[arm] / expected
+    np.testing.assert_allclose(found[arm] / found, from_the_middle, rtol=0.01)
 
 
 def test_a_fracture_of_finite_conductivity_flows_bilinearly():

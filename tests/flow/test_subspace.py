@@ -38,7 +38,7 @@ def test_recurrences_and_edge_differences_give_one_projection():
 
 
 def test_the_closed_space_holds_the_constants_and_projects_the_dense_matrix():
-    basis = grown().close()
+    basis = grown().close(0.0)
     matrix, storage = dense_matrices(SYSTEM)
     m = SYSTEM.pores
     gram = basis.vectors[:m].T @ (storage[:, None] * basis.vectors[:m])
