@@ -23,6 +23,13 @@ DENSE = 10.0
 
 STAMPS = 2_000_000_000  # marks start anew before 32 bits run out
 
+# What is known of each node stands together, so that one look brings it into the cache: where
+# its list begins and how long it is, how many elements lead it, how many nodes it stands for
+# (0: merged, below 0: in the element being made), a bound on its degree, an element's size
+# outside another, and its neighbours in the list of its degree.
+PLACE, LENGTH, ELEMENTS, SIZE, DEGREE, MARK, AFTER, BEFORE = range(8)
+FIELDS = 8
+
 NONE = -1
 LATE = -2  # `host` of the nodes that are eliminated last
 
@@ -138,124 +145,96 @@ def _breadth_first(start, neighbour):
 def _eliminate(start, entry):
     """Eliminate all nodes; the order."""
     n = start.size - 1
-    place, length = start[:n].copy(), start[1:] - start[:n]
-    elements, size, degree = np.zeros(n, np.int32), np.ones(n, np.int32), length.copy()
-    host, mark = np.full(n, NONE, np.int32), np.ones(n, np.int32)
+    node = np.empty((n, FIELDS), np.int32)
+    node[:, PLACE] = start[:n]
+    node[:, LENGTH] = start[1:] - start[:n]
+    node[:, DEGREE] = node[:, LENGTH]
+    node[:, ELEMENTS] = 0
+    node[:, SIZE] = 1
+    node[:, MARK] = 1
+    node[:, AFTER] = NONE
+    node[:, BEFORE] = NONE
+    host = np.full(n, NONE, np.int32)
     head, bucket = np.full(n, NONE, np.int32), np.full(n, NONE, np.int32)
-    after, before = np.full(n, NONE, np.int32), np.full(n, NONE, np.int32)
     free = start[n]
     pivots = np.empty(n, np.int32)
     done, steps, least, largest = 0, 0, 0, 0
     dense = max(16, int(DENSE * np.sqrt(n)))
     for i in range(n):
-        if length[i] == 0:
-            place[i] = NONE
-        if degree[i] > dense:
-            size[i] = 0
-            place[i] = NONE
+        if node[i, LENGTH] == 0:
+            node[i, PLACE] = NONE
+        if node[i, DEGREE] > dense:
+            node[i, SIZE] = 0
+            node[i, PLACE] = NONE
             host[i] = LATE
             done += 1
         else:
-            _enlist(degree, head, after, before, i, degree[i])
+            _enlist(node, head, i, node[i, DEGREE])
     stamp = 2
     while done < n:
         while head[least] == NONE:
             least += 1
         k = head[least]
-        _delist(degree, head, after, before, k)
+        _delist(node, head, k)
         pivots[steps] = k
         steps += 1
-        done += size[k]
-        had_elements = elements[k] > 0
+        done += node[k, SIZE]
+        had_elements = node[k, ELEMENTS] > 0
         if had_elements and free + least >= entry.size:
-            free = _squeeze(entry, place, length, free)
-        end = _gather(
-            entry, place, length, elements, size, degree, mark, head, after, before, k, free
-        )
+            free = _squeeze(entry, node, free)
+        end = _gather(entry, node, head, k, free)
         if stamp > STAMPS - largest:
-            stamp = _forget(mark)
-        _measure_elements(entry, place, length, elements, size, degree, mark, k, stamp)
-        done += _bound_degrees(
-            entry,
-            place,
-            length,
-            elements,
-            size,
-            degree,
-            host,
-            mark,
-            after,
-            before,
-            bucket,
-            k,
-            stamp,
-        )
-        largest = max(largest, degree[k])
-        stamp = _merge_alike(
-            entry,
-            place,
-            length,
-            elements,
-            size,
-            host,
-            mark,
-            after,
-            before,
-            bucket,
-            k,
-            stamp + largest,
-        )
-        least = min(
-            least,
-            _close(
-                entry, place, length, elements, size, degree, mark, head, after, before, k, n - done
-            ),
-        )
+            stamp = _forget(node)
+        _measure_elements(entry, node, k, stamp)
+        done += _bound_degrees(entry, node, host, bucket, k, stamp)
+        largest = max(largest, node[k, DEGREE])
+        stamp = _merge_alike(entry, node, host, bucket, k, stamp + largest)
+        least = min(least, _close(entry, node, head, k, n - done))
         if had_elements:
-            free = end if place[k] == NONE else place[k] + length[k]
+            free = end if node[k, PLACE] == NONE else node[k, PLACE] + node[k, LENGTH]
     return _order(host, pivots[:steps])
 
 
 @kernel
-def _enlist(degree, head, after, before, i, d):
+def _enlist(node, head, i, d):
     """Put a variable into the list of a degree."""
     if head[d] != NONE:
-        before[head[d]] = i
-    after[i] = head[d]
-    before[i] = NONE
+        node[head[d], BEFORE] = i
+    node[i, AFTER] = head[d]
+    node[i, BEFORE] = NONE
     head[d] = i
-    degree[i] = d
+    node[i, DEGREE] = d
 
 
 @kernel
-def _delist(degree, head, after, before, i):
+def _delist(node, head, i):
     """Take a variable from the list of its degree."""
-    a, b = after[i], before[i]
+    a, b = node[i, AFTER], node[i, BEFORE]
     if a != NONE:
-        before[a] = b
+        node[a, BEFORE] = b
     if b != NONE:
-        after[b] = a
+        node[b, AFTER] = a
     else:
-        head[degree[i]] = a
+        head[node[i, DEGREE]] = a
 
 
 @kernel
-def _squeeze(entry, place, length, used):
+def _squeeze(entry, node, used):
     """Move the lists together; the first free entry."""
-    for k in range(place.size):
-        p = place[k]
+    for k in range(len(node)):
+        p = node[k, PLACE]
         if p != NONE:
-            place[k] = entry[p]  # kept here while the list's first entry bears its name
+            node[k, PLACE] = entry[p]  # kept here while the list's first entry bears its name
             entry[p] = -k - 1
     free, p = 0, 0
     while p < used:
         k = -entry[p] - 1
         p += 1
         if k >= 0:
-            entry[free] = place[k]
-            place[k] = free
+            entry[free] = node[k, PLACE]
+            node[k, PLACE] = free
             free += 1
-            for _ in range(length[k] - 1):
+            for _ in range(node[k, LENGTH] - 1):
                 entry[free] = entry[p]
                 free += 1
                 p += 1
@@ -263,183 +242,181 @@ def _squeeze(entry, place, length, used):
 
 
 @kernel
-def _gather(entry, place, length, elements, size, degree, mark, head, after, before, k, free):
+def _gather(entry, node, head, k, free):
     """Make variable k an element: all that it is joined to by edges or by elements.
 
     Those elements are absorbed; its variables leave their degree lists and carry a negative
     size. Returns the end of its list.
     """
-    own, cliques = place[k], elements[k]
+    own, cliques = node[k, PLACE], node[k, ELEMENTS]
     first = free if cliques > 0 else own
     end = first
-    size[k] = -size[k]
+    node[k, SIZE] = -node[k, SIZE]
     total = 0
     for s in range(cliques + 1):
         if s < cliques:
             e = entry[own + s]
-            lo, hi = place[e], place[e] + length[e]
+            lo, hi = node[e, PLACE], node[e, PLACE] + node[e, LENGTH]
         else:
             e = k
-            lo, hi = own + cliques, own + length[k]
+            lo, hi = own + cliques, own + node[k, LENGTH]
         for p in range(lo, hi):
             i = entry[p]
-            if size[i] > 0:
-                total += size[i]
-                size[i] = -size[i]
+            if node[i, SIZE] > 0:
+                total += node[i, SIZE]
+                node[i, SIZE] = -node[i, SIZE]
                 entry[end] = i
                 end += 1
-                _delist(degree, head, after, before, i)
+                _delist(node, head, i)
         if e != k:
-            mark[e] = 0
-            place[e] = NONE
-    degree[k] = total
-    place[k] = first
-    length[k] = end - first
+            node[e, MARK] = 0
+            node[e, PLACE] = NONE
+    node[k, DEGREE] = total
+    node[k, PLACE] = first
+    node[k, LENGTH] = end - first
     return end
 
 
 @kernel
-def _forget(mark):
+def _forget(node):
     """Start the stamps anew."""
-    for k in range(mark.size):
-        if mark[k] != 0:
-            mark[k] = 1
+    for k in range(len(node)):
+        if node[k, MARK] != 0:
+            node[k, MARK] = 1
     return 2
 
 
 @kernel
-def _measure_elements(entry, place, length, elements, size, degree, mark, k, stamp):
-    """mark[e] − stamp becomes the size of each element e that meets element k, outside of k."""
-    for p in range(place[k], place[k] + length[k]):
+def _measure_elements(entry, node, k, stamp):
+    """The mark of each element that meets element k becomes stamp + its size outside of k."""
+    for p in range(node[k, PLACE], node[k, PLACE] + node[k, LENGTH]):
         i = entry[p]
-        nodes = -size[i]
-        for q in range(place[i], place[i] + elements[i]):
+        nodes = -node[i, SIZE]
+        for q in range(node[i, PLACE], node[i, PLACE] + node[i, ELEMENTS]):
             e = entry[q]
-            if mark[e] >= stamp:
-                mark[e] -= nodes
-            elif mark[e] != 0:
-                mark[e] = degree[e] + stamp - nodes
+            if node[e, MARK] >= stamp:
+                node[e, MARK] -= nodes
+            elif node[e, MARK] != 0:
+                node[e, MARK] = node[e, DEGREE] + stamp - nodes
 
 
 @kernel
-def _bound_degrees(
-    entry, place, length, elements, size, degree, host, mark, after, before, bucket, k, stamp
-):
+def _bound_degrees(entry, node, host, bucket, k, stamp):
     """Prune the lists of element k's variables, bound their degrees, and hash their lists.
 
     Elements wholly inside k are absorbed; a variable joined to k alone is eliminated with it.
     Returns the number of nodes so eliminated.
     """
     gone = 0
-    for p in range(place[k], place[k] + length[k]):
+    for p in range(node[k, PLACE], node[k, PLACE] + node[k, LENGTH]):
         i = entry[p]
-        first = place[i]
+        first = node[i, PLACE]
         end = first
         bound = 0
         hashed = 0
-        for q in range(first, first + elements[i]):
+        for q in range(first, first + node[i, ELEMENTS]):
             e = entry[q]
-            if mark[e] != 0:
-                outside = mark[e] - stamp
+            if node[e, MARK] != 0:
+                outside = node[e, MARK] - stamp
                 if outside > 0:
                     bound += outside
                     hashed += e
                     entry[end] = e
                     end += 1
                 else:
-                    mark[e] = 0
-                    place[e] = NONE
+                    node[e, MARK] = 0
+                    node[e, PLACE] = NONE
         middle = end
-        for q in range(first + elements[i], first + length[i]):
+        for q in range(first + node[i, ELEMENTS], first + node[i, LENGTH]):
             j = entry[q]
-            if size[j] > 0:
-                bound += size[j]
+            if node[j, SIZE] > 0:
+                bound += node[j, SIZE]
                 hashed += j
                 entry[end] = j
                 end += 1
         if bound == 0:
-            gone -= size[i]
-            _merge(place, elements, size, host, i, k)
+            gone -= node[i, SIZE]
+            _merge(node, host, i, k)
         else:
-            degree[i] = min(degree[i], bound)
+            node[i, DEGREE] = min(node[i, DEGREE], bound)
             entry[end] = entry[middle]
             entry[middle] = entry[first]
             entry[first] = k
-            elements[i] = middle - first + 1
-            length[i] = end - first + 1
+            node[i, ELEMENTS] = middle - first + 1
+            node[i, LENGTH] = end - first + 1
             hashed %= bucket.size
-            after[i] = bucket[hashed]
-            before[i] = hashed
+            node[i, AFTER] = bucket[hashed]
+            node[i, BEFORE] = hashed
             bucket[hashed] = i
-    degree[k] -= gone
+    node[k, DEGREE] -= gone
     return gone
 
 
 @kernel
-def _merge(place, elements, size, host, i, into):
+def _merge(node, host, i, into):
     """Variable i is no more; `into` stands for it."""
     host[i] = into
-    size[i] = 0
-    elements[i] = 0
-    place[i] = NONE
+    node[i, SIZE] = 0
+    node[i, ELEMENTS] = 0
+    node[i, PLACE] = NONE
 
 
 @kernel
-def _merge_alike(entry, place, length, elements, size, host, mark, after, before, bucket, k, stamp):
+def _merge_alike(entry, node, host, bucket, k, stamp):
     """Merge variables of element k whose lists are the same; the next free stamp."""
-    for p in range(place[k], place[k] + length[k]):
+    for p in range(node[k, PLACE], node[k, PLACE] + node[k, LENGTH]):
         i = entry[p]
-        if size[i] == 0:
+        if node[i, SIZE] == 0:
             continue
-        hashed = before[i]
+        hashed = node[i, BEFORE]
         i = bucket[hashed]
         bucket[hashed] = NONE
-        while i != NONE and after[i] != NONE:
-            entries, cliques = length[i], elements[i]
-            for q in range(place[i] + 1, place[i] + entries):
-                mark[entry[q]] = stamp
-            kept, j = i, after[i]
+        while i != NONE and node[i, AFTER] != NONE:
+            entries, cliques = node[i, LENGTH], node[i, ELEMENTS]
+            for q in range(node[i, PLACE] + 1, node[i, PLACE] + entries):
+                node[entry[q], MARK] = stamp
+            kept, j = i, node[i, AFTER]
             while j != NONE:
-                alike = length[j] == entries and elements[j] == cliques
-                q = place[j] + 1
-                end = place[j] + entries
+                alike = node[j, LENGTH] == entries and node[j, ELEMENTS] == cliques
+                q = node[j, PLACE] + 1
+                end = node[j, PLACE] + entries
                 while alike and q < end:
-                    alike = mark[entry[q]] == stamp
+                    alike = node[entry[q], MARK] == stamp
                     q += 1
                 if alike:
-                    size[i] += size[j]
-                    _merge(place, elements, size, host, j, i)
-                    after[kept] = after[j]
+                    node[i, SIZE] += node[j, SIZE]
+                    _merge(node, host, j, i)
+                    node[kept, AFTER] = node[j, AFTER]
                 else:
                     kept = j
-                j = after[j]
-            i = after[i]
+                j = node[j, AFTER]
+            i = node[i, AFTER]
             stamp += 1
     return stamp
 
 
 @kernel
-def _close(entry, place, length, elements, size, degree, mark, head, after, before, k, left):
+def _close(entry, node, head, k, left):
     """Put what is left of element k's variables back into degree lists; the least degree."""
-    first = place[k]
+    first = node[k, PLACE]
     end = first
     least = left
-    for p in range(first, first + length[k]):
+    for p in range(first, first + node[k, LENGTH]):
         i = entry[p]
-        nodes = -size[i]
+        nodes = -node[i, SIZE]
         if nodes > 0:
-            size[i] = nodes
-            bound = min(degree[i] + degree[k] - nodes, left - nodes)
-            _enlist(degree, head, after, before, i, bound)
+            node[i, SIZE] = nodes
+            bound = min(node[i, DEGREE] + node[k, DEGREE] - nodes, left - nodes)
+            _enlist(node, head, i, bound)
             least = min(least, bound)
             entry[end] = i
             end += 1
-    size[k] = 0
-    elements[k] = 0
-    length[k] = end - first
+    node[k, SIZE] = 0
+    node[k, ELEMENTS] = 0
+    node[k, LENGTH] = end - first
     if end == first:
-        mark[k] = 0
-        place[k] = NONE
+        node[k, MARK] = 0
+        node[k, PLACE] = NONE
     return least
 
 
