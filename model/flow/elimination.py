@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from model.compile import kernel
-from model.flow.ordering import Graph, graph_of, inverse, minimum_degree, renumbered
+from model.flow.graph import Graph, graph_of, inverse, renumbered
+from model.flow.ordering import minimum_degree
 
 # Fronts join while explicit zeros are at most this part of their entries: small ones save
 # bookkeeping, large ones would cost arithmetic.

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from model.flow.elimination import analyse, analyse_anew, column_counts
 from model.flow.factor import factorise
-from model.flow.ordering import graph_of, inverse, minimum_degree, renumbered
+from model.flow.graph import graph_of, inverse, renumbered
+from model.flow.ordering import minimum_degree
 from model.memory import limited
 from model.outcome import OutOfMemory
 from tests.flow.test_factor import random_graph
