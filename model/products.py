@@ -98,6 +98,10 @@ class StrengthTest(NamedTuple):
     axial_strain: Array  # (r,) in the sense of the test
     lateral_strain: Array  # (r,) opposite to it
     cracks: Array  # (r,) bonds broken
+    crack_x: Array  # (k,) m: where bonds broke, in the order of breaking
+    crack_y: Array  # (k,) m
+    crack_mode: Array  # (k,) 1 in tension, 2 in shear
+    box: Array  # (4,) m: walls xmin, xmax, ymin, ymax before the test
     steps: Array  # () time steps taken
 
 

@@ -204,3 +204,15 @@ MAPS: dict[str, Quantity] = {
         "1", ("crack",), "strain yy of the box by then, extension positive", ("grain_map",)
     ),
 }
+
+# Variables of one case's test to failure, besides the place and mode of its cracks.
+TESTS: dict[str, Quantity] = {
+    "axial_stress": Quantity("Pa", ("record",), "axial stress in the sense of the test"),
+    "axial_strain": Quantity("1", ("record",), "axial strain in the sense of the test"),
+    "lateral_strain": Quantity("1", ("record",), "lateral strain opposite to that sense"),
+    "cracks": Quantity("1", ("record",), "bonds broken"),
+    "crack_x": MAPS["crack_x"],
+    "crack_y": MAPS["crack_y"],
+    "crack_mode": MAPS["crack_mode"],
+    "box": Quantity("m", ("wall",), "left, right, bottom and top wall before the test"),
+}

@@ -36,7 +36,7 @@ from model.products import (
     StressState,
     UnitLoads,
 )
-from model.quantities import MAPS
+from model.quantities import MAPS, TESTS
 from model.region import Region, contains
 from model.scene import MEASURED_BY_A_TEST, Bonds, Scene, joint_lines
 
@@ -251,7 +251,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="unit_loads",
         function="model.mechanics.stress:unit_loads",
-        version=2,
+        version=3,
         parents=("pack",),
         reads={
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
@@ -264,7 +264,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="model.mechanics.stress:load",
-        version=4,
+        version=5,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -281,7 +281,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="model.mechanics.strength:strength",
-        version=2,
+        version=3,
         parents=("pack",),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -401,8 +401,14 @@ def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray
     `products` are those of `run_stages`. Domains are those inside the region, pipes those
     with an end among them. `mesh_node_x`, `mesh_node_y` are the corners of the domains'
     polygons and `mesh_face_nodes` (domain, most corners) their indices, −1 where a domain
-    has fewer.
+    has fewer. A test to failure adds its curves and cracks, `model.quantities.TESTS`.
     """
+    tested = {name: getattr(products["strength"], name) for name in TESTS} if scene.tests else {}
+    return tested | _pore_maps(scene, products) if scene.porous else tested
+
+
+def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Pores, pipes and grains of a case."""
     net: Network = products["network"]
     opened: Apertures = products["open"]
     domain = np.flatnonzero(net.inside)

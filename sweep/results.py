@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from model.quantities import COORDINATES, MAPS
+from model.quantities import COORDINATES, MAPS, TESTS
 from model.scene import Scene
 from sweep.cases import case_at, coordinates
 from sweep.dataset.labels import CONVENTIONS, quantity_attributes
@@ -44,7 +44,7 @@ def open_results(folder: str | Path) -> xr.Dataset:
 
 
 def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
-    """Return the maps of one case: pores, pipes, grains and pressure, as far as observed.
+    """Return the maps of one case: pores, pipes, grains and pressure, or a test's curves.
 
     Parameters
     ----------
@@ -54,9 +54,10 @@ def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
 
     Returns
     -------
-    The variables of `model.quantities.MAPS`; the polygons of the domains are the UGRID
-    mesh `mesh`, its faces the domains. The case's values on the axes are coordinates under
-    the names of the axes, or as `axis_…` where a map has that name (`aperture`).
+    The variables of `model.quantities.MAPS` as far as observed, and `TESTS` of a test to
+    failure; the polygons of the domains are the UGRID mesh `mesh`, its faces the domains. The
+    case's values on the axes are coordinates under the names of the axes, or as `axis_…` where
+    a map has that name (`aperture`).
 
     Raises ResultsError where an axis is left open, a value is none of the axis's, or the
     case is not there.
@@ -132,7 +133,7 @@ def _dataset(
     study: Study, scene: Scene, maps: dict[str, np.ndarray], index: tuple[int, ...]
 ) -> xr.Dataset:
     variables: dict[str, Any] = {}
-    for name, quantity in MAPS.items():
+    for name, quantity in {**MAPS, **TESTS}.items():
         if name in maps:
             array = np.asarray(maps[name])
             # a steady study has no times
@@ -140,7 +141,8 @@ def _dataset(
             variables[name] = (dimensions, array, quantity_attributes(quantity))
             if dimensions[-1] == "domain":
                 variables[name][2].update(mesh="mesh", location="face")
-    variables |= _mesh(maps)
+    if "mesh_face_nodes" in maps:
+        variables |= _mesh(maps)
     scalars: dict[str, Any] = {}
     for axis, k in zip(study.axes, index, strict=True):
         own = coordinates(axis)[0]

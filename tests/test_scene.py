@@ -245,8 +245,8 @@ def test_only_flow_outputs_need_flow():
     assert not good(observe=("permeability",), times=(), wells=(), boundaries=()).flows
 
 
-def test_stiffness_is_twice_the_modulus_or_as_given():
-    assert Grains(count=9, porosity=0.17, modulus=1e10).contact_stiffness == 2e10
+def test_stiffness_of_a_contact_is_the_modulus_or_as_given():
+    assert Grains(count=9, porosity=0.17, modulus=1e10).contact_stiffness == 1e10
     assert Grains(count=9, porosity=0.17, normal_stiffness=7.0).contact_stiffness == 7.0
     assert Grains(count=9, porosity=0.17).contact_stiffness is None
 

@@ -10,7 +10,7 @@ import pytest
 import model
 from model import stages
 from model.outcome import ModelError
-from model.quantities import CASE, MAPS
+from model.quantities import CASE, MAPS, TESTS
 from model.region import Circle, Polygon, Rectangle
 from model.scene import (
     MEASURED_BY_A_TEST,
@@ -426,6 +426,11 @@ def test_a_test_to_failure_needs_no_pores():
     found = products["observe"]
     assert set(MEASURED_BY_A_TEST) <= set(found) <= set(CASE)
     assert all(np.isfinite(found[name]) for name in MEASURED_BY_A_TEST)
+    maps = case_maps(scene, products)
+    assert set(maps) == set(TESTS)
+    sizes = {"record": len(maps["cracks"]), "crack": int(found["crack_count"]), "wall": 4}
+    for name, quantity in TESTS.items():
+        assert maps[name].shape == tuple(sizes[d] for d in quantity.dimensions), name
     with pytest.raises(SceneError, match="needs a fluid"):
         dataclasses.replace(scene, observe=("permeability",))
     with pytest.raises(SceneError, match="describe it"):

@@ -85,6 +85,16 @@ def elastic_moduli(
     return Moduli(tensor, float(modulus), float(ratio))
 
 
+def in_plane_strain(modulus: float, ratio: float) -> tuple[float, float]:
+    """Young's modulus and Poisson's ratio of a rock whose slice in plane strain shows these.
+
+    ν = ν₂ / (1 + ν₂), E = E₂ (1 − ν²): a slice that cannot strain out of its plane shows
+    ν₂ = ν / (1 − ν) and E₂ = E / (1 − ν²); one without stress out of it shows E and ν themselves.
+    """
+    true = ratio / (1.0 + ratio)
+    return modulus * (1.0 - true**2), true
+
+
 def _forces(u: Array, contacts: Contacts, specimen: Specimen) -> tuple[Array, Array]:
     """Linear forces on b of each contact, tension positive as strains are."""
     grains, a, b, of = specimen.grains, contacts.a, contacts.b, contacts.bond

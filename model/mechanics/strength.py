@@ -1,6 +1,7 @@
 """The stage *strength*: a specimen is tested to failure, between platens or in tension.
 
-Before the test the packed grains are relieved to INSTALLED, so that little stress is locked in
+Before the test the packed grains are relieved to INSTALLED, with the friction at which they
+were packed: grains packed without any keep their contacts closed, and little stress is locked in
 by the bonds that are then installed. *Biaxial*: the lateral walls hold the confining stress,
 the platens (bottom and top) approach each other at a constant strain rate, as in Potyondy &
 Cundall (2004). *Tension*: the grains next to the platens are gripped and pulled apart, the sides
@@ -12,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.mechanics import measures
+from model.mechanics import measures, records
 from model.mechanics.bonds import INTACT
 from model.mechanics.equilibrium import FIRE, Specimen, Stop
 from model.mechanics.grains import Array
@@ -23,7 +24,7 @@ from model.products import Packing, StrengthTest
 from model.scene import Bonds, FailureTest
 
 INSTALLED = 1e-5  # pressure over k_n at which bonds are installed
-HOLDING = 10.0  # friction while the packing is relieved, so that it stays as it is
+RELIEVING = 6000  # most steps of that: without friction the last motion dies slowly
 GRIP = 3.0  # mean radii from the platens within which grains are gripped in tension
 GAUGE = 0.7  # part of the width and the height over which strains are measured
 FALLEN = 0.7  # part of the peak stress at which a test ends
@@ -60,6 +61,7 @@ def strength(
         largest strain.
     """
     relieved = relieve(packing)
+    unit, middle = float(packing.radius.mean()), _middle(relieved.box)
     specimen = specimen_of(relieved, normal_stiffness, stiffness_ratio, friction, bonds, seed=seed)
     if test.kind == "tension":
         curve = _pull(specimen, test)
@@ -78,6 +80,7 @@ def strength(
     half = max(int(half), 1)
     modulus = (stress[half] - stress[0]) / (axial[half] - axial[0])
     ratio = (lateral[half] - lateral[0]) / (axial[half] - axial[0])
+    broken = records.broken(specimen)
     return StrengthTest(
         youngs_modulus=np.array(normal_stiffness * modulus),
         poissons_ratio=np.array(ratio),
@@ -88,6 +91,10 @@ def strength(
         axial_strain=axial,
         lateral_strain=lateral,
         cracks=cracks,
+        crack_x=middle[0] + unit * broken.x,
+        crack_y=middle[1] + unit * broken.y,
+        crack_mode=broken.mode,
+        box=relieved.box,
         steps=np.array(specimen.steps),
     )
 
@@ -106,15 +113,15 @@ def relieve(packing: Packing) -> Packing:
     """The packing at the pressure INSTALLED; a lattice is at rest without one."""
     if float(packing.packing_pressure) <= INSTALLED:
         return packing
-    specimen = specimen_of(packing, 1.0, 2.5, HOLDING, None)
+    specimen = specimen_of(packing, 1.0, 2.5, float(packing.packing_friction), None)
     held = Servo(INSTALLED, INSTALLED, INSTALLED, INSTALLED)
-    specimen.relax(held, Stop(ratio=0.01, stress=0.05), damping=FIRE, steps=3000)
+    specimen.relax(held, Stop(ratio=0.01, stress=0.05), damping=FIRE, steps=RELIEVING)
     unit = float(packing.radius.mean())
     grains, pairs = specimen.grains, specimen.pairs
-    centre = np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]]) * 0.5
+    centre = _middle(packing.box)
     a, b = measures.listed(pairs)
     overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
-    # cement stands at every contact of the packed state, also where it opened by a hair
+    # cement stands at every contact of the packed state, also where that opened
     n = len(grains.x)
     touch = (overlap > 0.0) | np.isin(a * n + b, packing.contact_a * n + packing.contact_b)
     return packing._replace(
@@ -206,6 +213,10 @@ class Gauge:
 def _columns(rows: list[tuple[float, float, float, float]]) -> tuple[Array, Array, Array, Array]:
     stress, axial, lateral, cracks = np.array(rows).T
     return stress, axial, lateral, cracks
+
+
+def _middle(box: Array) -> Array:
+    return 0.5 * np.array([box[0] + box[1], box[2] + box[3]])
 
 
 def _area(box: Array) -> float:

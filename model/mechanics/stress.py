@@ -159,14 +159,14 @@ def specimen_of(
             )
         )
         tensile, shear = drawn
-        modulus = 0.5 if bonds.modulus is None else bonds.modulus / normal_stiffness
+        modulus = 1.0 if bonds.modulus is None else bonds.modulus / normal_stiffness
         cement = install(
             bonds.kind,
             tensile_strength=tensile,
             shear_strength=shear,
             friction=bonds.friction,
             radius_multiplier=bonds.radius_multiplier,
-            modulus=modulus,  # E_c = k_n / 2, the grains' (Potyondy & Cundall 2004, Eq. 21)
+            modulus=modulus,  # the grains' E_c = k_n, where it has none of its own
             stiffness_ratio=bonds.stiffness_ratio or stiffness_ratio,
             radius_a=radius[a],
             radius_b=radius[b],

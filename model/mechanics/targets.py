@@ -21,7 +21,7 @@ from model.mechanics.sizes import Sizes
 from model.outcome import ModelError
 from model.scene.rock import PACKING_PRESSURES
 
-PRESSURE = 2e-4  # over k_n, where none is asked for: 8 MPa for grains of 20 GPa
+PRESSURE = 2e-4  # over k_n, where none is asked for: 4 MPa for grains of 20 GPa
 
 # Porosity that a recipe leads to (inner box, at PRESSURE), solid fraction at the start, packing
 # friction; measured at radius ratio 1.66 on packings of 5,000 grains.

@@ -77,7 +77,7 @@ class Grains:
     )
     seed: int = parameter(default=1, at_least=0, help="seed of the random packing")
     modulus: float | None = parameter(
-        "Pa", default=None, above=0, help="grain contact modulus E_c; k_n = 2 E_c for unit depth"
+        "Pa", default=None, above=0, help="modulus E_c of grains at a contact, whose k_n is E_c"
     )
     normal_stiffness: float | None = parameter(
         "N/m", default=None, above=0, help="normal contact stiffness k_n, instead of a modulus"
@@ -142,10 +142,11 @@ class Grains:
     def contact_stiffness(self) -> float | None:
         """Normal stiffness k_n of a contact, N/m per metre of depth.
 
-        k_n = 2 E_c t with t = 1 m (Potyondy & Cundall 2004, Eq. 21). None where
-        neither modulus nor stiffness is given.
+        A grain has 2 E_c t (Potyondy & Cundall 2004, Eq. 21) and a contact two grains in
+        series, which makes E_c t, with t = 1 m. None where neither modulus nor stiffness is
+        given.
         """
-        return 2.0 * self.modulus if self.modulus is not None else self.normal_stiffness
+        return self.modulus if self.modulus is not None else self.normal_stiffness
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +252,7 @@ class FailureTest:
         "Pa", default=1e5, at_least=0, help="stress on the lateral walls of a biaxial test"
     )
     strain_step: float = parameter(
-        default=1e-6, at_least=1e-8, at_most=2e-5, help="axial strain of one time step"
+        default=1e-7, at_least=1e-8, at_most=2e-5, help="axial strain of one time step"
     )
     largest_strain: float = parameter(
         default=0.02, above=0, at_most=0.2, help="axial strain at which a test gives up"

@@ -19,6 +19,7 @@ from sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tab
 from sweep.analysis.table import Table
 from sweep.cases import case_at
 from sweep.figures.comparisons import draw_linear, draw_radial
+from sweep.figures.failure import draw_failure
 from sweep.figures.horner import draw_horner
 from sweep.figures.maps import draw_maps
 from sweep.figures.permeability import draw_permeability
@@ -93,6 +94,7 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
         if "permeability" in dataset:
             drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
         drawn.append(draw_strength(dataset, folder / "strength.png", seeds))
+        drawn.append(draw_failure(dataset, maps_of, folder / "stress_strain.png", seeds))
     return [path for path in drawn if path is not None]
 
 

@@ -15,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from model.quantities import CASE, COORDINATES, MAPS
+from model.quantities import CASE, COORDINATES, MAPS, TESTS
 from sweep.analysis.cases import display, plain_number
 
 DPI = 130
@@ -81,7 +81,7 @@ def sequence(count: int) -> np.ndarray:
 
 def label(name: str, values: np.ndarray | float) -> tuple[float, str]:
     """Factor and axis label of a quantity: its long name and a unit that suits the values."""
-    quantity = {**COORDINATES, **MAPS, **CASE}[name]
+    quantity = {**COORDINATES, **MAPS, **TESTS, **CASE}[name]
     factor, unit = display(quantity.unit, values)
     return factor, f"{quantity.long_name} ({unit})" if unit else quantity.long_name
 

@@ -12,7 +12,7 @@ from model.region import Rectangle
 from model.scene import Bonds, Stress
 from model.stages import pack, stress, unit_loads
 
-CONTACTS = {"normal_stiffness": 124e9, "stiffness_ratio": 2.5, "friction": 0.5}  # E_c = 62 GPa
+CONTACTS = {"normal_stiffness": 62e9, "stiffness_ratio": 2.5, "friction": 0.5}
 CEMENT = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)
 
 

@@ -1,30 +1,32 @@
-"""Tests to failure: moduli and strengths of lattices, confinement, tension, what has no peak."""
+"""Tests to failure: moduli and strengths, their symmetries and scales, what has no peak."""
 
 import numpy as np
 import pytest
 
-from model.mechanics.moduli import elastic_moduli
-from model.mechanics.strength import strength
+from model.analytic.lattice import hexagonal_elasticity
+from model.mechanics import measures
+from model.mechanics.moduli import in_plane_strain
+from model.mechanics.strength import GAUGE, relieve, strength
+from model.mechanics.stress import load, unit_loads
 from model.outcome import ModelError
-from model.products import StrengthTest
-from model.scene import Bonds, FailureTest
+from model.products import Packing, StrengthTest
+from model.scene import Bonds, FailureTest, Stress
 from tests.mechanics.rocks import packed
 
-KN = 124e9
+KN = 62e9
+CONTACTS = {"normal_stiffness": KN, "stiffness_ratio": 2.5, "friction": 0.5}
 
 
 def bonds(strength_: float = 157e6, kind: str = "parallel") -> Bonds:
     return Bonds(kind=kind, tensile_strength=strength_, shear_strength=strength_)
 
 
-def to_failure(rock, cement, **test) -> StrengthTest:
+def to_failure(rock, cement, friction: float = 0.5, **test) -> StrengthTest:
     return strength(
         rock,
-        normal_stiffness=KN,
-        stiffness_ratio=2.5,
-        friction=0.5,
         bonds=cement,
-        test=FailureTest(**{"strain_step": 4e-6, **test}),
+        test=FailureTest(**{"strain_step": 1e-6, **test}),
+        **CONTACTS | {"friction": friction},
     )
 
 
@@ -33,11 +35,54 @@ def rock():
     return packed(0.165, count=400)
 
 
-def test_modulus_is_that_of_the_bonded_grains(rock) -> None:
-    found = to_failure(rock, bonds(kind="contact"), confining_stress=20e6)
-    wanted = elastic_moduli(rock, stiffness_ratio=2.5, friction=0.5, bonds=bonds(kind="contact"))
-    assert float(found.youngs_modulus) == pytest.approx(KN * wanted.youngs_modulus, rel=0.15)
-    assert float(found.poissons_ratio) == pytest.approx(wanted.poissons_ratio, abs=0.1)
+def static_moduli(rock: Packing, cement: Bonds, confining: float, axial: float) -> tuple:
+    """E and ν between two states of the static solver, strains of the grains in the gauge."""
+    rock = relieve(rock)
+    units = unit_loads(rock, stiffness_ratio=2.5, friction=0.5, bonds=cement.elastic(KN))
+    one, two = (
+        load(
+            rock,
+            units,
+            bonds=cement,
+            stress=Stress(xx=confining, yy=yy, method="static", tolerance=1e-5),
+            **CONTACTS,
+        )
+        for yy in (confining, axial)
+    )
+    half = 0.5 * GAUGE * np.diff(rock.box)[[0, 2]]
+    middle = 0.5 * (rock.box[[0, 2]] + rock.box[[1, 3]])
+    inside = (np.abs(one.x - middle[0]) < half[0]) & (np.abs(one.y - middle[1]) < half[1])
+    place = one.x[inside], one.y[inside]
+    moved = (two.x - one.x)[inside], (two.y - one.y)[inside]
+    strain = measures.affine_strain(*place, *moved)
+    return (confining - axial) / strain[1, 1], -strain[0, 0] / strain[1, 1]
+
+
+def test_slow_test_follows_the_static_solver(rock) -> None:
+    """Moduli of two independent ways, with contacts that open and slip."""
+    confining, axial = 1e6, 41e6
+    modulus, ratio = static_moduli(rock, bonds(), confining, axial)
+    found = to_failure(rock, bonds(), confining_stress=confining)
+    strain, across = (
+        float(np.interp(axial, found.axial_stress, part))
+        for part in (found.axial_strain, found.lateral_strain)
+    )
+    assert (axial - found.axial_stress[0]) / strain == pytest.approx(modulus, rel=0.01)
+    assert across / strain == pytest.approx(ratio, abs=0.01)
+
+
+def test_hexagonal_lattice_has_its_closed_form_moduli() -> None:
+    """Contact bonds: every contact is a spring in tension as in compression.
+
+    Half a grain along either side stands beside the last row and bears nothing.
+    """
+    lattice = packed(None, count=300, kind="hexagonal")
+    found = to_failure(lattice, bonds(kind="contact"), confining_stress=1e5, strain_step=5e-7)
+    modulus, ratio = hexagonal_elasticity(KN, KN / 2.5)
+    width = lattice.box[1] - lattice.box[0]
+    borne = 1.0 - 2.0 * lattice.radius[0] / width
+    assert float(found.youngs_modulus) == pytest.approx(modulus * borne, rel=0.01)
+    assert float(found.poissons_ratio) == pytest.approx(ratio, abs=0.01)
 
 
 def test_confinement_strengthens(rock) -> None:
@@ -49,16 +94,41 @@ def test_confinement_strengthens(rock) -> None:
         assert float(found.peak_strength) == found.axial_stress.max()
 
 
-def test_strength_follows_the_bonds(rock) -> None:
-    """Without confinement and friction nothing but the bonds has a unit of stress.
+def test_cracks_are_told_with_place_and_mode(rock) -> None:
+    found = to_failure(rock, bonds(), confining_stress=1e6)
+    assert len(found.crack_x) == len(found.crack_y) == int(found.crack_count)
+    assert set(np.unique(found.crack_mode)) <= {1, 2}
+    width = found.box[1] - found.box[0]
+    assert np.all(np.abs(found.crack_x - 0.5 * (found.box[0] + found.box[1])) < 0.55 * width)
 
-    Pulled so slowly that waves cross the specimen many times before it breaks.
-    """
-    slow = {"kind": "tension", "strain_step": 2e-7}
+
+def test_slower_is_the_same(rock) -> None:
+    one, two = (
+        to_failure(rock, bonds(), confining_stress=1e6, strain_step=step) for step in (5e-7, 2.5e-7)
+    )
+    assert float(two.youngs_modulus) == pytest.approx(float(one.youngs_modulus), rel=0.01)
+    assert float(two.poissons_ratio) == pytest.approx(float(one.poissons_ratio), abs=0.01)
+    assert float(two.peak_strength) == pytest.approx(float(one.peak_strength), rel=0.05)
+
+
+def test_mirrored_specimen_is_as_strong(rock) -> None:
+    mirrored = rock._replace(
+        x=-rock.x, shear_force=-rock.shear_force, box=rock.box[[1, 0, 2, 3]] * [-1, -1, 1, 1]
+    )
+    one, two = (to_failure(r, bonds(), confining_stress=1e6) for r in (rock, mirrored))
+    assert float(two.peak_strength) == pytest.approx(float(one.peak_strength), rel=1e-3)
+    assert float(two.youngs_modulus) == pytest.approx(float(one.youngs_modulus), rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["biaxial", "tension"])
+def test_strength_follows_the_bonds(rock, kind: str) -> None:
+    """Without confinement nothing but the bonds has a unit of stress."""
+    slow = {"kind": kind, "confining_stress": 0.0, "strain_step": 2e-7}
     one, two = (to_failure(rock, bonds(s), **slow) for s in (60e6, 120e6))
     assert float(two.peak_strength) == pytest.approx(2.0 * float(one.peak_strength), rel=0.1)
-    assert float(one.peak_strength) < 60e6
     assert float(two.youngs_modulus) == pytest.approx(float(one.youngs_modulus), rel=0.1)
+    if kind == "tension":
+        assert float(one.peak_strength) < 60e6
 
 
 def test_unbonded_grains_have_a_frictional_strength() -> None:
@@ -75,3 +145,14 @@ def test_no_peak_within_the_largest_strain_is_told(rock) -> None:
 def test_cement_without_strength_bears_no_tension(rock) -> None:
     with pytest.raises(ModelError, match="bears"):
         to_failure(rock, bonds(0.0), kind="tension", largest_strain=1e-3)
+
+
+def test_plane_strain_is_the_slice_that_cannot_strain_out_of_its_plane() -> None:
+    """Hooke's law in three dimensions with ε_zz = 0 and σ_xx = 0."""
+    modulus, ratio = 7.0, 0.3
+    compliance = (np.eye(3) * (1.0 + ratio) - ratio) / modulus
+    stress_zz = ratio * 1.0  # of σ_yy = 1
+    strain = compliance @ [0.0, 1.0, stress_zz]
+    assert strain[2] == pytest.approx(0.0, abs=1e-15)
+    found = in_plane_strain(1.0 / strain[1], -strain[0] / strain[1])
+    assert found == pytest.approx((modulus, ratio))
