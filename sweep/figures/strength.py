@@ -38,7 +38,7 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
             panel.set_xticks([])
         words = name.replace("_", " ").replace("youngs", "Young's").replace("poissons", "Poisson's")
         panel.set_ylabel(f"{words} ({unit})" if unit else words)
-        panel.set_ylim(bottom=0.0)
+        panel.set_ylim(0.0, 1.06 * factor * float(np.nanmax(quantity.values)) or None)
     return save(figure, path, "What the tests to failure measured; lines are means over the cases")
 
 
