@@ -52,6 +52,16 @@ class UnitLoads(NamedTuple):
     wall_grain: Array  # (w,) grains at the walls left, right, bottom, top
     wall_start: Array  # (5,) first of each wall
     wall_share: Array  # (w,) part of the wall's shear traction that the grain carries
+    contact_a: Array  # (c,) the cemented contacts, a < b, sorted by (a, b), one bond each
+    contact_b: Array
+    contact_shear: Array  # (c,) shear force of the packed state
+    contact_distance: Array  # (c,) of the centres, where the cement was installed
+    touching: Array  # (c,) bool: the grains touch, not the cement alone
+    loose: Array  # (q,) of the grains at walls, those whose contact may open or close
+    loose_touching: Array  # (q,) bool: it is closed in the packed state
+    loose_response: Array  # (q, m) float32: displacement by a unit press of the wall on each
+    near_a: Array  # (k,) pairs without cement that may come to touch
+    near_b: Array
     order: Array  # (m,) of elimination
     start: Array  # (m + 1,) columns of L
     row: Array  # (entries,) int32

@@ -251,7 +251,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="unit_loads",
         function="model.mechanics.stress:unit_loads",
-        version=3,
+        version=4,
         parents=("pack",),
         reads={
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
@@ -264,7 +264,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="model.mechanics.stress:load",
-        version=5,
+        version=6,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -281,7 +281,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="model.mechanics.strength:strength",
-        version=3,
+        version=4,
         parents=("pack",),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

@@ -1,10 +1,11 @@
 """Cement between grains: contact bonds and parallel bonds (Potyondy & Cundall 2004).
 
 A *contact bond* lets the contact carry tension and shear without slip until the stress over
-its cross-section, force / (2 R̄), reaches a strength. A *parallel bond* is an elastic beam beside
-the grain contact that carries force and moment, with a modulus and a ratio of stiffnesses of its
-own. Bonds carry nothing when they are installed. A broken bond never heals; when, where and how
-it broke is kept with it.
+its cross-section, force / (2 R̄), reaches a strength; between grains that do not touch it is
+as stiff as a contact, and counts from their distance at installation. A *parallel bond* is an
+elastic beam beside the grain contact that carries force and moment, with a modulus and a ratio of
+stiffnesses of its own. Bonds carry nothing when they are installed. A broken bond never heals;
+when, where and how it broke is kept with it.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class BondState(NamedTuple):
     tensile_strength: Array  # (m,) stress
     shear_strength: Array  # (m,)
     half_width: Array  # (m,) R̄
-    length: Array  # (m,) distance of the centres at installation
+    length: Array  # (m,) distance of the centres at which its normal force is zero
     kn: Array  # (m,) normal stiffness of a parallel bond, force per length
     ks: Array  # (m,) its shear stiffness
     kr: Array  # (m,) its bending stiffness, moment per angle
@@ -88,15 +89,16 @@ def install(
     k̄_n = Ē_c / (R_a + R_b) with `modulus` Ē_c and k̄_n / k̄_s the `stiffness_ratio` (ibid.,
     Eqs 12, 13, 22). Strengths (m,) or one for all; a contact bond reads nothing else.
     """
+    reach = radius_a + radius_b
     half = np.minimum(radius_a, radius_b) * radius_multiplier
-    stiffness = modulus / (radius_a + radius_b) * 2.0 * half  # k̄_n A
+    stiffness = modulus / reach * 2.0 * half  # k̄_n A
     return BondState(
         kind=CONTACT_BONDS if kind == "contact" else PARALLEL_BONDS,
         friction=float(friction),
         tensile_strength=np.full(len(half), tensile_strength, dtype=float),
         shear_strength=np.full(len(half), shear_strength, dtype=float),
         half_width=half,
-        length=distance.copy(),
+        length=np.maximum(distance, reach) if kind == "contact" else distance.copy(),
         kn=stiffness,
         ks=stiffness / stiffness_ratio,
         kr=stiffness * half**2 / 3.0,  # k̄_n I

@@ -23,7 +23,7 @@ from model.mechanics.bonds import (
     load_parallel_bond,
     note_crack,
 )
-from model.mechanics.energy import BREAKAGE, ELASTIC, SLIP
+from model.mechanics.energy import BREAKAGE, ELASTIC, JERKS, SLIP
 from model.mechanics.grains import Array, Grains
 from model.mechanics.joints import JointState, joint_forces
 from model.mechanics.laws import normal_force, shear_force, slip, spent, tangential_step
@@ -134,9 +134,11 @@ def contact_forces(
             fs = shear_force(pairs.shear[k], ks, us)
             glued = False
             if b >= 0 and bonds.kind == CONTACT_BONDS:
+                fn = normal_force(kn, bonds.length[b] - d)
                 state = bond_state(bonds, b, fn, fs, 0.0)
                 glued = state == INTACT
                 if not glued:
+                    fn = normal_force(kn, un)
                     bonds.state[b] = state
                     note_crack(bonds.cracks, b, state, step, xi + li * nx, yi + li * ny, box)
             if not glued:
@@ -145,12 +147,14 @@ def contact_forces(
             if ledger is not None:
                 lost = spent(pairs.shear[k], fs, ks, us)
                 if b >= 0 and bonds.kind == CONTACT_BONDS and not glued:
-                    if un < 0.0:  # the contact let a tension go
-                        dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
-                        lost += spent(kn * (un + dn), 0.0, kn, dn)
+                    dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
+                    lost += spent(kn * (bonds.length[b] - d + dn), fn, kn, dn)
                     ledger[BREAKAGE] += lost
                 else:
                     ledger[SLIP] += lost
+                    if not glued:
+                        dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
+                        ledger[JERKS] += spent(max(kn * (un + dn), 0.0), fn, kn, dn)
                 ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / max(ks, 1e-300)
             pairs.shear[k] = fs
             if d2 >= reach * reach and b < 0:

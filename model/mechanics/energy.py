@@ -2,8 +2,9 @@
 
 Velocities live half a step before the positions, so that the kinetic energy at a position is
 ½ m v₋ · v₊. Then it changes from position to position by exactly (F₀ + F₁) · Δx / 2, the work by
-the trapezoidal rule, and so do the others here: what the sum leaves over is the error of the
-steps in the contacts alone (their normals turn, they open), of second order. Damping is local.
+the trapezoidal rule, and so do the others here. Where a force begins or ends within a step that
+rule makes or loses energy, which is counted too; what the sum leaves over is the error of
+contacts whose normals turn, of second order. Damping is local.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from model.compile import kernel
 from model.mechanics.grains import Array, Grains
 
 # Places in the ledger: stored, put in since the start, lost since the start.
-ELASTIC, KINETIC, WALLS, STRETCH, LOADS, SLIP, BREAKAGE, DAMPING = range(8)
-MOVED = 8  # first of four: way of each wall in the step that its forces are still to see
+ELASTIC, KINETIC, WALLS, STRETCH, LOADS, SLIP, BREAKAGE, DAMPING, JERKS = range(9)
+MOVED = 9  # first of four: way of each wall in the step that its forces are still to see
 
 
 class Energies(NamedTuple):
@@ -31,6 +32,7 @@ class Energies(NamedTuple):
     slip: float  # lost to friction
     breakage: float  # lost with bonds that broke
     damping: float  # lost to damping
+    jerks: float  # lost, or made where negative, by steps in which a contact opens or closes
 
     @property
     def input(self) -> float:
@@ -41,11 +43,12 @@ class Energies(NamedTuple):
     def error(self) -> float:
         """What the balance does not account for."""
         stored = self.elastic + self.kinetic
-        return self.input - stored - self.slip - self.breakage - self.damping
+        lost = self.slip + self.breakage + self.damping + self.jerks
+        return self.input - stored - lost
 
 
 def new_ledger() -> Array:
-    """An empty ledger, float64 (12,)."""
+    """An empty ledger, float64 (13,)."""
     return np.zeros(MOVED + 4)
 
 

@@ -30,7 +30,15 @@ from model.mechanics.motion import (
     move,
 )
 from model.mechanics.neighbours import Pairs, find_pairs, largest_displacement, no_pairs
-from model.mechanics.servo import STANDING, Servo, move_walls, setpoint, stress_error, stretches
+from model.mechanics.servo import (
+    STANDING,
+    Servo,
+    advanced,
+    move_walls,
+    setpoint,
+    stress_error,
+    stretches,
+)
 from model.outcome import ModelError
 
 TIME_STEP = 0.5  # √(m/k): stable for six contacts a grain (`grains.scaled_mass`); 0.6 is not
@@ -110,7 +118,7 @@ def advance(
             error = stress_error(servo, sums, box, wanted_xx, wanted_yy)
         if progress < 1.0:
             if error < servo.band:
-                progress = min(1.0, progress + servo.pace * np.sqrt(min(wanted_xx, wanted_yy)))
+                progress = min(1.0, progress + advanced(servo, wanted_xx, wanted_yy))
         elif error <= stop.stress:
             mean = sums.force / max(sums.contacts, 1)
             if sums.unbalanced <= stop.ratio * mean or mean < stop.force:

@@ -24,7 +24,7 @@ from model.mechanics.bonds import (
     no_cracks,
     note_crack,
 )
-from model.mechanics.energy import BREAKAGE, ELASTIC, SLIP
+from model.mechanics.energy import BREAKAGE, ELASTIC, JERKS, SLIP
 from model.mechanics.grains import Array, Grains
 from model.mechanics.laws import bond_shear, bond_shear_strength, slip, spent
 from model.mechanics.neighbours import JOINED, Pairs
@@ -264,9 +264,11 @@ def joint_forces(
             fn = fs = gap = 0.0
         if ledger is not None:
             lost = spent(held_s, fs, ks, us)
-            # closing and opening lose nothing
+            pressed = spent(held_n, fn, kn, un)
             if (held_n > 0.0 and fn > 0.0) or broke or parted:
-                lost += spent(held_n, fn, kn, un)
+                lost += pressed
+            else:  # the force begins or ends within the step, which the trapezoid misses
+                ledger[JERKS] += pressed
             ledger[BREAKAGE if broke else SLIP] += lost
             ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / ks
         joints.gap[k], joints.normal[k], joints.shear[k] = gap, fn, fs

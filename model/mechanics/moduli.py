@@ -11,8 +11,8 @@ from model.mechanics.bonds import PARALLEL_BONDS
 from model.mechanics.equilibrium import Specimen
 from model.mechanics.grains import Array
 from model.mechanics.measures import listed, overlaps
+from model.mechanics.rock import specimen_of
 from model.mechanics.stiffness import ANCHOR, Contacts, factorise, matrix, solve
-from model.mechanics.stress import specimen_of
 from model.products import Packing
 from model.scene import Bonds
 

@@ -45,12 +45,12 @@ def carried(specimen: Specimen) -> Carried:
     shear = specimen.pairs.shear.copy()
     intact = bond_of_pair(specimen.pairs.bond, bonds)
     glued = intact >= 0
+    of, distance = intact[glued], (grains.radius[a] + grains.radius[b] - overlap)[glued]
     if bonds.kind == PARALLEL_BONDS:
-        of, distance = intact[glued], (grains.radius[a] + grains.radius[b] - overlap)[glued]
         normal[glued] += bonds.kn[of] * (bonds.length[of] - distance)
         shear[glued] += bonds.shear[of]
     else:
-        normal[glued] = specimen.law.kn * overlap[glued]
+        normal[glued] = specimen.law.kn * (bonds.length[of] - distance)
     kept = (glued | (overlap > 0.0)) & (specimen.pairs.bond != JOINED)
     acts = joints.state != APART
     one, two = joints.a[acts], joints.b[acts]

@@ -25,6 +25,7 @@ class Servo(NamedTuple):
     target_yy: float
     pace: float = np.inf  # part of the path covered by one step, over √(smaller stress)
     band: float = np.inf  # relative lag of the stresses behind the path at which it waits
+    ease: float = np.inf  # |xx − yy| / (xx + yy) at which it is followed at half the pace
     gain: float = 0.05  # part of the error in the mean stress that one step corrects; 0: no servo
     wall_gain: float = 0.3  # part of the error in each wall's force that one step corrects
     modulus: float = 0.5  # stress per strain that the gain assumes, in units of k_n
@@ -43,6 +44,13 @@ def setpoint(servo: Servo, progress: float) -> tuple[float, float]:
         servo.start_xx + progress * (servo.target_xx - servo.start_xx),
         servo.start_yy + progress * (servo.target_yy - servo.start_yy),
     )
+
+
+@kernel
+def advanced(servo: Servo, wanted_xx: float, wanted_yy: float) -> float:
+    """Part of the path that one step covers at these stresses: less, the nearer to strength."""
+    shear = abs(wanted_xx - wanted_yy) / (wanted_xx + wanted_yy)
+    return servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + shear / servo.ease)
 
 
 @kernel

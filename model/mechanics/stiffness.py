@@ -20,7 +20,8 @@ from model.mechanics.bonds import PARALLEL_BONDS, BondState
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.grains import Array, Grains
 
-ANCHOR = 1e-6  # over k_n
+ANCHOR = 1e-8  # over k_n
+TOUCHING = 1e-6  # gap, in mean radii, below which grains count as touching
 
 
 class Factor(NamedTuple):
@@ -45,7 +46,8 @@ class Contacts(NamedTuple):
 def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw) -> csc_array:
     """The stiffness matrix (3 n + 2, 3 n + 2) about the present positions, over k_n.
 
-    Every contact carries tension as it does compression; a parallel bond adds its own.
+    Every contact carries tension as it does compression; a parallel bond adds its own, and
+    stands alone across a gap.
     """
     n = len(grains.x)
     a, b = contacts.a, contacts.b
@@ -56,6 +58,8 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw
     arm_a, arm_b = grains.radius[a] - 0.5 * overlap, grains.radius[b] - 0.5 * overlap
     kn, ks, kr = np.full(len(a), law.kn), np.full(len(a), law.ks), np.zeros(len(a))
     if bonds.kind == PARALLEL_BONDS:
+        apart = overlap < -TOUCHING
+        kn[apart] = ks[apart] = 0.0
         glued = contacts.bond >= 0
         of = contacts.bond[glued]
         kn[glued] += bonds.kn[of]

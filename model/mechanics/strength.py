@@ -17,8 +17,8 @@ from model.mechanics import measures, records
 from model.mechanics.bonds import INTACT
 from model.mechanics.equilibrium import FIRE, Specimen, Stop
 from model.mechanics.grains import Array
+from model.mechanics.rock import specimen_of
 from model.mechanics.servo import STANDING, Servo
-from model.mechanics.stress import specimen_of
 from model.outcome import ModelError
 from model.products import Packing, StrengthTest
 from model.scene import Bonds, FailureTest

@@ -140,7 +140,10 @@ class Scene:
                 what = "static solves bonded grains; add bonds, or take explicit"
                 problems.append(("stress.method", what))
             if abs(self.stress.components[2]) > 0.0:
-                what = "unbonded grains are loaded along the axes only; add bonds"
+                what = (
+                    "unbonded grains are loaded along the axes only; leave the angle out and turn "
+                    "fractures, wells and probes by minus the angle instead, or add bonds"
+                )
                 problems.append(("stress.angle", what))
         if self.bonds is not None and self.stress is None and self.test is None:
             problems.append(("bonds", "bonds act only where the scene names a stress or a test"))

@@ -178,6 +178,12 @@ class Bonds:
     stiffness_ratio: float | None = parameter(
         default=None, above=0, help="normal over shear stiffness of a parallel bond; as modulus"
     )
+    installation_gap: float = parameter(
+        default=0.0,
+        at_least=0,
+        at_most=0.1,
+        help="gap up to which cement joins grains that do not touch, over the mean radius",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -220,7 +226,7 @@ class Stress:
     )
     tolerance: float = parameter(
         default=1e-3,
-        at_least=1e-8,
+        at_least=1e-10,
         at_most=0.1,
         help="mean unbalanced over mean contact force, relative error of the stresses",
     )

@@ -12,8 +12,12 @@ from model.region import Rectangle
 from model.scene import Bonds, Stress
 from model.stages import pack, stress, unit_loads
 
-CONTACTS = {"normal_stiffness": 62e9, "stiffness_ratio": 2.5, "friction": 0.5}
-CEMENT = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)
+CONTACTS = {"normal_stiffness": 40e9, "stiffness_ratio": 2.5, "friction": 0.5}  # E_c = 40 GPa
+STRENGTHS = {"tensile_strength": 60e6, "shear_strength": 120e6}
+CEMENTS = {
+    "contact bonds": Bonds(kind="contact", installation_gap=0.01, **STRENGTHS),
+    "parallel bonds": Bonds(kind="parallel", **STRENGTHS),
+}
 
 
 @cache
@@ -32,18 +36,19 @@ def packed(count: int, *, porosity: float = 0.165, seed: int = 1, floaters: str 
 
 
 @cache
-def responses(count: int) -> UnitLoads:
-    """What all stress states of a bonded rock share."""
+def responses(rock: str, count: int) -> UnitLoads:
+    """What all stress states of a rock share, one of those in CEMENTS."""
     elastic = {k: v for k, v in CONTACTS.items() if k != "normal_stiffness"}
-    return unit_loads(packed(count), bonds=CEMENT.elastic(CONTACTS["normal_stiffness"]), **elastic)
+    bonds = CEMENTS[rock].elastic(CONTACTS["normal_stiffness"])
+    return unit_loads(packed(count), bonds=bonds, **elastic)
 
 
 def loaded(
-    rock: Packing, target: Stress, units: UnitLoads | None = None, bonds: Bonds | None = CEMENT
+    packing: Packing, target: Stress, bonds: Bonds | None, units: UnitLoads | None = None
 ) -> tuple[StressState, float]:
-    """A stress state, and the CPU time it took."""
+    """A stress state, and the processor time it took."""
     start = time.process_time()
-    state = stress(rock, units, bonds=bonds, stress=target, **CONTACTS)
+    state = stress(packing, units, bonds=bonds, stress=target, **CONTACTS)
     return state, time.process_time() - start
 
 

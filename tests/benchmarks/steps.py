@@ -9,7 +9,8 @@ import numpy as np
 
 from model.mechanics.equilibrium import Specimen, Stop
 from model.mechanics.packing import pack
-from model.mechanics.stress import DAMPING, specimen_of, straight_path
+from model.mechanics.rock import specimen_of
+from model.mechanics.stress import DAMPING, straight_path
 from model.products import Packing
 from model.region import Rectangle
 from model.scene import Bonds

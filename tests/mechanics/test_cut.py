@@ -6,8 +6,9 @@ import pytest
 from model.mechanics.cut import cut, excavate, gravity, press_on
 from model.mechanics.equilibrium import AT_REST, Specimen, Stop
 from model.mechanics.measures import listed, overlaps
+from model.mechanics.rock import specimen_of
 from model.mechanics.servo import STANDING
-from model.mechanics.stress import specimen_of, straight_path
+from model.mechanics.stress import straight_path
 from model.region import Circle, Polygon
 from model.scene import Bonds
 from tests.mechanics.rocks import packed

@@ -8,8 +8,9 @@ from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import Specimen, Stop
 from model.mechanics.grains import Grains, at_rest, scaled_mass
 from model.mechanics.joints import APART, LOOSE, Trace
+from model.mechanics.rock import specimen_of
 from model.mechanics.servo import STANDING
-from model.mechanics.stress import load, specimen_of
+from model.mechanics.stress import load
 from model.scene import Bonds, Joint, JointLine, Stress
 from tests.mechanics.rocks import net_forces, packed
 

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.mechanics import static
+from model.mechanics.backbone import contacts_of
 from model.mechanics.contacts import contact_forces
 from model.mechanics.moduli import elastic_moduli
+from model.mechanics.rock import specimen_of
 from model.mechanics.stiffness import factorise, matrix, solve
-from model.mechanics.stress import load, specimen_of, unit_loads
+from model.mechanics.stress import load, unit_loads
+from model.mechanics.trial import FAR
 from model.outcome import ModelError
 from model.scene import Bonds, SceneError, Stress
 from tests.mechanics.rocks import net_forces, packed
@@ -46,7 +48,7 @@ def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
     grains.x[:] *= 1.0 - 1e-7  # pressed, so that contacts of parallel bonds act both ways
     grains.y[:] *= 1.0 - 1e-7
     specimen.bonds.length[:] = 2.0 * (1.0 - 1e-7)
-    found = matrix(grains, static.contacts_of(specimen), specimen.bonds, specimen.law)
+    found = matrix(grains, contacts_of(specimen), specimen.bonds, specimen.law)
     rng = np.random.default_rng(1)
     u = 1e-9 * rng.standard_normal((n, 3))
 
@@ -56,14 +58,14 @@ def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
         grains.x[:], grains.y[:] = x + sign * u[:, 0], y + sign * u[:, 1]
         grains.vx[:], grains.vy[:], grains.spin[:] = sign * u.T
         contact_forces(
-            grains, specimen.pairs, specimen.bonds, specimen.joints, specimen.law, static.FAR,
+            grains, specimen.pairs, specimen.bonds, specimen.joints, specimen.law, FAR,
             0, 1.0, 0.0, 0.0, None,
         )  # fmt: skip
         grains.x[:], grains.y[:] = x, y
         return np.column_stack([grains.fx, grains.fy, grains.torque])
 
     inside = np.ones(n, bool)
-    for held in static.contacts_of(specimen).walls:
+    for held in contacts_of(specimen).walls:
         inside[held] = False
     linear = -(found @ np.r_[u.ravel(), 0.0, 0.0])[:-2].reshape(n, 3)
     true = 0.5 * (forces(1.0) - forces(-1.0))
@@ -73,7 +75,7 @@ def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
 def test_factor_solves() -> None:
     rock = packed(count=100)
     specimen = specimen_of(rock, 1.0, 2.5, 0.5, STRONG["parallel"])
-    stiffness = matrix(specimen.grains, static.contacts_of(specimen), specimen.bonds, specimen.law)
+    stiffness = matrix(specimen.grains, contacts_of(specimen), specimen.bonds, specimen.law)
     wanted = np.random.default_rng(2).standard_normal(stiffness.shape[0])
     found = solve(factorise(stiffness), stiffness @ wanted)
     np.testing.assert_allclose(stiffness @ found, stiffness @ wanted, atol=1e-12)
