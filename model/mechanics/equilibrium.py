@@ -35,6 +35,7 @@ from model.mechanics.servo import (
     Servo,
     advanced,
     move_walls,
+    oscillates,
     setpoint,
     stress_error,
     stretches,
@@ -46,7 +47,7 @@ SKIN = 0.3  # of the list of pairs, in mean radii
 FIRE = -1.0  # as the coefficient of damping
 
 # how a run ended
-AT_REST, OUT_OF_STEPS, STRAINED, LIST_STALE = 0, 1, 2, 3
+AT_REST, OUT_OF_STEPS, STRAINED, LIST_STALE, OSCILLATES = 0, 1, 2, 3, 4
 
 
 class Stop(NamedTuple):
@@ -91,14 +92,16 @@ def advance(
     slack: float,
     reach: float,
     steps: int,
+    swings: Array,
     ledger: Array | None,
 ) -> tuple[int, int, Run, Sums]:
     """Step until at rest, until the list of pairs may be stale, or until a bound is met.
 
     `damping` is the coefficient of local damping, negative for FIRE. `slack` is the distance
     that grains may move, and `reach` the one over which they may be stretched towards each
-    other, before the list is looked at again. A `ledger` (see `energy`) is kept where it is
-    given, which local damping allows. Returns (how it ended, steps taken, run, sums).
+    other, before the list is looked at again. `swings` is the memory of `servo.oscillates`. A
+    `ledger` (see `energy`) is kept where it is given, which local damping allows. Returns (how
+    it ended, steps taken, run, sums).
     """
     fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
     since_x, since_y, strain_x, strain_y = run.since_x, run.since_y, run.strain_x, run.strain_y
@@ -116,6 +119,9 @@ def advance(
         wanted_xx, wanted_yy = setpoint(servo, progress)
         if servo.gain > 0.0:
             error = stress_error(servo, sums, box, wanted_xx, wanted_yy)
+            if oscillates(servo, swings, sums, box, wanted_xx, wanted_yy):
+                end = OSCILLATES
+                break
         if progress < 1.0:
             if error < servo.band:
                 progress = min(1.0, progress + advanced(servo, wanted_xx, wanted_yy))
@@ -206,7 +212,9 @@ class Specimen:
         return int(np.count_nonzero(~self._traces.found))
 
     def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
-        """Follow the servo's path until at rest; returns AT_REST, OUT_OF_STEPS or STRAINED.
+        """Follow the servo's path until at rest.
+
+        Returns AT_REST, OUT_OF_STEPS, STRAINED, or OSCILLATES where the servo overshoots for ever.
 
         `damping` is the coefficient of local damping, or FIRE.
         """
@@ -218,11 +226,11 @@ class Specimen:
         )
         reach = float(self.grains.radius.max()) + self.skin
         slack = self._slack(reach)
-        left = steps
+        left, swings = steps, np.zeros((2, 4))
         while True:
             end, taken, self.run, self.sums = advance(
                 self.grains, self.pairs, self.bonds, self.joints, self.law, self.box, servo, stop,
-                self.run, self.dt, damping, slack, reach, left, self.ledger,
+                self.run, self.dt, damping, slack, reach, left, swings, self.ledger,
             )  # fmt: skip
             self.steps += taken
             left -= taken

@@ -34,6 +34,10 @@ class Servo(NamedTuple):
     drive_y: float = np.nan
 
 
+SWINGS = 100  # of the mean stress about its target, without decay, at which a servo oscillates
+DECAY = 0.8  # of the largest error, from swing to swing or over all of them, that counts as such
+STRONG = 0.05  # error of the mean stress, relative, below which a swing is noise
+
 STANDING = Servo(1.0, 1.0, 1.0, 1.0, gain=0.0)  # a box that does not move
 
 
@@ -142,3 +146,29 @@ def stress_error(servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_
     error_x = worst_x / wanted_xx if np.isnan(servo.drive_x) else 0.0
     error_y = worst_y / wanted_yy if np.isnan(servo.drive_y) else 0.0
     return max(error_x, error_y)
+
+
+@kernel
+def oscillates(
+    servo: Servo, swings: Array, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float
+) -> bool:
+    """Whether a mean stress swung about its target SWINGS times in a row without decay.
+
+    `swings` (2, 4) remembers of xx and yy: the last error, the largest one since its sign
+    changed, that of the swing with which others are compared, and how many did not fall below
+    DECAY of it. It starts as zeros. A stress that is driven is not watched.
+    """
+    if not (np.isnan(servo.drive_x) and np.isnan(servo.drive_y)):
+        return False
+    mean_xx, mean_yy = mean_stresses(sums, box)
+    for k in range(2):
+        error = mean_xx / wanted_xx - 1.0 if k == 0 else mean_yy / wanted_yy - 1.0
+        if error * swings[k, 0] < 0.0:
+            swing = swings[k, 1]
+            if swing < STRONG or swing < DECAY * swings[k, 2] or swings[k, 2] == 0.0:
+                swings[k, 2], swings[k, 3] = swing, 0.0
+            else:
+                swings[k, 3] += 1.0
+            swings[k, 1] = 0.0
+        swings[k, 0], swings[k, 1] = error, max(swings[k, 1], abs(error))
+    return max(swings[0, 3], swings[1, 3]) >= SWINGS

@@ -70,11 +70,7 @@ def strength(
     stress, axial, lateral, cracks = curve
     peak = int(np.argmax(stress))
     if stress[peak] <= 0.0 or not (stress[-1] <= FALLEN * stress[peak] or flows(stress)):
-        raise ModelError(
-            f"the specimen came to no peak within a strain of {axial[-1]:.2%}, where it bears "
-            f"{normal_stiffness * stress[-1]:.4g} Pa; try a larger test.largest_strain, a smaller "
-            "confining stress or more friction"
-        )
+        raise ModelError(_no_peak(test, normal_stiffness * stress, float(axial[-1])))
     start = 0.0 if test.kind == "tension" else float(stress[0])
     half = np.flatnonzero(stress[: peak + 1] - start >= ELASTIC * (stress[peak] - start))[0]
     half = max(int(half), 1)
@@ -107,6 +103,22 @@ def flows(stress: Array) -> bool:
     quarter = max(len(stress) // 4, 1)
     last, before = stress[-quarter:].mean(), stress[-2 * quarter : -quarter].mean()
     return bool(0.0 < last <= FLOWING * before)
+
+
+def _no_peak(test: FailureTest, stress: Array, strain: float) -> str:
+    """What a test without a peak stress has come to, and what to try; stresses (k,) in Pa."""
+    if test.kind == "tension" and stress.max() <= 0.0:
+        return (
+            "the specimen comes apart at once, before it bears any tension; try bonds of more "
+            "strength"
+        )
+    remedy = "stronger bonds" if stress[-1] <= 0.0 else "a larger test.largest_strain"
+    if test.kind == "biaxial":
+        remedy += ", a smaller confining stress or more friction"
+    return (
+        f"the specimen came to no peak within a strain of {strain:.2%}, where it bears "
+        f"{stress[-1]:.4g} Pa; try {remedy}"
+    )
 
 
 def relieve(packing: Packing) -> Packing:

@@ -25,7 +25,7 @@ import numpy as np
 from model.mechanics import static
 from model.mechanics.bonds import INTACT, NO_BONDS
 from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import AT_REST, STRAINED, TIME_STEP, Specimen, Stop
+from model.mechanics.equilibrium import AT_REST, OSCILLATES, STRAINED, TIME_STEP, Specimen, Stop
 from model.mechanics.grains import at_rest
 from model.mechanics.held import HeldTrial
 from model.mechanics.rock import cemented, scaled, specimen_of
@@ -185,6 +185,12 @@ def _why(
     target = f"the target of {kn * path.target_xx:.4g} and {kn * path.target_yy:.4g} Pa"
     remedy = "try a smaller stress difference, more friction, a lower porosity, or "
     remedy += "bonds" if specimen.bonds.kind == NO_BONDS else "stronger bonds"
+    if reason == OSCILLATES:
+        return (
+            f"the servo oscillates {reached}: the stresses swing by {run.error:.0%} about their "
+            "targets without decay, for the specimen is far stiffer than its grains; try a "
+            "bonds.modulus of less than some 30 times theirs, or stress.method static"
+        )
     if reason == STRAINED:
         strain = max(abs(run.strain_x), abs(run.strain_y))
         return (

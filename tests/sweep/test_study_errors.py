@@ -69,6 +69,36 @@ MISTAKES = [
 ]  # fmt: skip
 
 
+JOINTED = broken(
+    "to: [4, 2], aperture: 100 um}",
+    "to: [4, 2], joint: {normal_stiffness: 10 GPa/m, shear_stiffness: 4 GPa/m, friction: 0.6, dilation_angle: 7 deg}}",
+)
+MISTAKES_OF_JOINTS = [
+    ("friction: 0.6", "fricton: 0.6", "fricton", "unknown key 'fricton' in scene.fractures.joint.joint; did you mean 'friction'?"),
+    ("normal_stiffness: 10 GPa/m, ", "", "joint: {shear", "scene.fractures.joint.joint lacks 'normal_stiffness'"),
+    ("10 GPa/m", "10 GPa", "10 GPa", "10 GPa is a pressure; fractures.joint.joint.normal_stiffness is a"),
+    ("7 deg", "5 m", "5 m}", "5 m is a length; fractures.joint.joint.dilation_angle is an angle"),
+    ("7 deg", "90 deg", "90 deg", "fractures.joint.joint.dilation_angle: 1.5708 rad is not below 1.5708 rad"),
+    ("7 deg", "-1 deg", "-1 deg", "fractures.joint.joint.dilation_angle: -0.0174533 rad is below 0 rad"),
+    ("friction: 0.6", "friction: -1", "-1,", "fractures.joint.joint.friction: -1 is below 0"),
+    ("{normal_stiffness: 10 GPa/m, shear_stiffness: 4 GPa/m, friction: 0.6, dilation_angle: 7 deg}", "5", "5}\n", "joint.joint is a mapping with the keys normal_stiffness"),
+    ("from: [-3, 1], to: [4, 2]", "from: [-30, 90], to: [4, 92]", "[-30, 90]", "the fracture lies outside the region"),
+    ("  stress: {xx: 20 MPa, yy: 10 MPa}\n", "", "joint: {normal", "a joint acts only where the scene names a stress"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("old", "new", "at", "said"), MISTAKES_OF_JOINTS)
+def test_one_mistake_of_a_joint_is_one_problem_at_its_place(tmp_path, old, new, at, said):
+    text = broken(old, new, JOINTED)
+    found = problems(tmp_path, text)
+    assert any(said in line for line in found), found
+    assert any(line.startswith(place_of(text, at) + ":") for line in found), found
+
+
+def test_a_jointed_study_loads(tmp_path):
+    assert not problems(tmp_path, JOINTED)
+
+
 @pytest.mark.parametrize(("old", "new", "at", "said"), MISTAKES)
 def test_one_mistake_is_one_problem_at_its_place(tmp_path, old, new, at, said):
     text = broken(old, new)

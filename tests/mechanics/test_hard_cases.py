@@ -1,0 +1,151 @@
+"""Hard cases of mechanics: each ends in equilibrium or in words, never in NaN or for ever."""
+
+import numpy as np
+import pytest
+
+from model.mechanics.contacts import ContactLaw
+from model.mechanics.equilibrium import AT_REST, FIRE, OSCILLATES, TIME_STEP, Specimen, Stop
+from model.mechanics.grains import at_rest, scaled_mass
+from model.mechanics.measures import listed, overlaps
+from model.mechanics.servo import STANDING, Servo
+from model.mechanics.strength import strength
+from model.mechanics.stress import load, specimen_of
+from model.outcome import ModelError
+from model.parameters import SceneError
+from model.scene import Bonds, FailureTest, Joint, JointLine, Stress
+from tests.mechanics.rocks import packed
+
+KN = 40e9
+SLIDING = Joint(normal_stiffness=KN, shear_stiffness=KN, friction=0.3)
+
+
+def bonds(size: float, kind: str = "parallel", **more) -> Bonds:
+    return Bonds(kind=kind, tensile_strength=size, shear_strength=size, **more)
+
+
+def loaded(rock, xx: float, yy: float, *, friction=0.5, cement=None, method="auto", joints=()):
+    return load(
+        rock,
+        normal_stiffness=KN,
+        stiffness_ratio=2.5,
+        friction=friction,
+        bonds=cement,
+        joints=joints,
+        stress=Stress(xx=xx, yy=yy, method=method),
+    )
+
+
+def to_failure(rock, cement, *, friction=0.5, **test):
+    return strength(
+        rock,
+        normal_stiffness=KN,
+        stiffness_ratio=2.5,
+        friction=friction,
+        bonds=cement,
+        test=FailureTest(**{"strain_step": 4e-6, **test}),
+    )
+
+
+@pytest.fixture(scope="module")
+def rock():
+    return packed(0.165, count=150)
+
+
+def test_ten_to_one_is_borne_by_strong_bonds_alone(rock) -> None:
+    with pytest.raises(ModelError, match=r"ratio 2\.\d+:1.*beyond its strength; try"):
+        loaded(rock, 50e6, 5e6)
+    state = loaded(rock, 50e6, 5e6, cement=bonds(1e9))
+    np.testing.assert_allclose(state.wall_stress, np.array([50, 50, 5, 5]) * 1e6, rtol=5e-3)
+    assert float(state.unbalanced_ratio) <= 1e-3
+
+
+@pytest.mark.parametrize("cement", [None, bonds(1e9)])
+def test_sizes_of_one_to_ten(cement) -> None:
+    state = loaded(packed(0.165, count=150, ratio=10.0), 15e6, 10e6, cement=cement)
+    np.testing.assert_allclose(state.wall_stress, np.array([15, 15, 10, 10]) * 1e6, rtol=5e-3)
+    assert float(state.unbalanced_ratio) <= 1e-3
+
+
+def test_grains_without_friction_bear_no_more_than_their_confinement(rock) -> None:
+    found = to_failure(rock, None, friction=0.0, confining_stress=10e6)
+    assert 10e6 < float(found.peak_strength) < 2.0 * 10e6  # fewer than 20 grains across
+
+
+@pytest.mark.parametrize(("n", "spread"), [(2, 0.0), (60, 1e-9), (60, 2.0)])
+def test_grains_on_top_of_each_other_part(n: int, spread: float) -> None:
+    """Deep overlap, to the very same place: no force is NaN, and all come to rest."""
+    rng = np.random.default_rng(2)
+    x, y = spread * rng.uniform(-1.0, 1.0, (2, n))
+    radius = rng.uniform(0.6, 1.4, n)
+    grains = at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP))
+    box = 12.0 * np.array([-1.0, 1.0, -1.0, 1.0])
+    specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.0))
+    stop = Stop(ratio=0.1, stress=np.inf, force=1e-5)
+    assert specimen.relax(STANDING, stop, damping=FIRE, steps=20_000) == AT_REST
+    a, b = listed(specimen.pairs)
+    assert overlaps(grains.x, grains.y, radius, a, b).max() < 0.1
+    assert np.abs(grains.x).max() < 12.0
+    assert np.abs(grains.y).max() < 12.0
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+@pytest.mark.parametrize("kind", ["biaxial", "tension"])
+def test_few_grains_are_tested_within_more_of_them(count: int, kind: str) -> None:
+    found = to_failure(packed(0.18, count=count), bonds(50e6), kind=kind, confining_stress=5e6)
+    assert 5e6 < float(found.peak_strength) < 200e6
+    assert all(np.isfinite(field).all() for field in found)
+
+
+def test_a_specimen_pulled_too_far_comes_apart_at_a_load(rock) -> None:
+    found = to_failure(rock, bonds(50e6), kind="tension")
+    peak = float(found.peak_strength)
+    assert 5e6 < peak < 50e6
+    assert found.axial_stress[-1] <= 0.7 * peak
+    assert int(found.crack_count) > 10
+    with pytest.raises(SceneError, match="not above 0"):
+        Stress(xx=-1e6, yy=1e6)
+
+
+@pytest.mark.parametrize("kind", ["contact", "parallel"])
+def test_bonds_of_no_strength_leave_grains_as_they_are(rock, kind: str) -> None:
+    state = loaded(rock, 12e6, 10e6, cement=bonds(0.0, kind))
+    assert int(state.broken_bonds) == len(rock.contact_a)
+    assert not state.bonded.any()
+    np.testing.assert_allclose(state.wall_stress, np.array([12, 12, 10, 10]) * 1e6, rtol=5e-3)
+    loose = to_failure(rock, None, confining_stress=10e6)
+    found = to_failure(rock, bonds(0.0, kind), confining_stress=10e6)
+    assert float(found.peak_strength) == pytest.approx(float(loose.peak_strength), rel=0.15)
+    with pytest.raises(ModelError, match="comes apart at once, before it bears any tension; try"):
+        to_failure(rock, bonds(0.0, kind), kind="tension", largest_strain=1e-3)
+
+
+def test_a_servo_that_overshoots_for_ever_is_told(rock) -> None:
+    """A stretch that corrects more than twice the error turns it round, and grows it."""
+    calm = Servo(3e-4, 3e-4, 3e-4, 3e-4)
+    stop = Stop(ratio=1e-3, stress=1e-3)
+    for gain, end in ((0.05, AT_REST), (1.0, AT_REST), (4.0, OSCILLATES)):
+        specimen = specimen_of(rock, KN, 2.5, 0.5, None)
+        servo = calm._replace(gain=gain, limit=1e-3)
+        assert specimen.relax(servo, stop, damping=0.5, steps=50_000) == end
+        assert specimen.steps < 1000
+    stiff = bonds(1e15, modulus=200 * KN)
+    with pytest.raises(
+        ModelError, match=r"servo oscillates .* without decay.*try a bonds\.modulus"
+    ):
+        loaded(rock, 12e6, 10e6, cement=stiff, method="explicit")
+
+
+@pytest.mark.parametrize(
+    "line", [((9.0, 9.0), (12.0, 9.0)), ((0.0, 0.0), (1e-4, 0.0))], ids=["outside", "in one grain"]
+)
+def test_a_joint_that_meets_no_contact_changes_nothing_and_is_counted(rock, line) -> None:
+    plain = loaded(rock, 12e6, 10e6)
+    idle = loaded(rock, 12e6, 10e6, joints=(JointLine(*line, SLIDING),))
+    assert int(idle.idle_joints) == 1
+    np.testing.assert_array_equal(idle.normal_force, plain.normal_force)
+
+
+def test_a_stress_that_presses_grains_flat_is_borne(rock) -> None:
+    state = loaded(rock, 1e9, 1e9)
+    np.testing.assert_allclose(state.wall_stress, 1e9, rtol=5e-3)
+    assert np.isfinite(state.normal_force).all()
