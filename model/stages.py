@@ -288,6 +288,7 @@ STAGES: tuple[Stage, ...] = (
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
             "friction": lambda s: s.grains.friction,
             "bonds": lambda s: s.bonds,
+            "joints": lambda s: joint_lines(s.fractures, s.region),
             "test": lambda s: s.test,
             "seed": lambda s: s.grains.seed,
         },

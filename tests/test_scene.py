@@ -42,6 +42,8 @@ GOOD = {
     Solver: {},
 }
 
+PERIODIC = Grains(count=9, packing="periodic", porosity=0.17, modulus=1e10)
+
 
 def good(**changed):
     given = {
@@ -169,6 +171,8 @@ def test_choices_are_words_from_a_list():
             "wells.w.schedule",
         ),
         ({"stress": Stress(1.0, 1.0), "grains": Grains(count=9, porosity=0.17)}, "grains.modulus"),
+        ({"stress": Stress(1.0, 1.0), "grains": PERIODIC}, "stress"),
+        ({"test": FailureTest(), "grains": PERIODIC}, "test"),
         ({"bonds": Bonds("contact", 1.0, 1.0)}, "bonds"),
         ({"matrix": Matrix(aperture=1e-5, half_force=1e6)}, "matrix.half_force"),
         (
@@ -209,6 +213,14 @@ def test_all_contradictions_are_told_at_once():
         lambda: Grains(count=9, packing="square", porosity=0.17),
         lambda: Grains(count=9, porosity=0.17, modulus=1.0, normal_stiffness=1.0),
         lambda: Grains(count=9, porosity=0.5),
+        lambda: Grains(
+            count=9, porosity=0.17, packing_stress=1e6, packing_friction=0.1, modulus=1e10
+        ),
+        lambda: Grains(count=9, packing_stress=1e6, modulus=1e10),
+        lambda: Grains(count=9, porosity=0.17, packing_stress=1e6),
+        lambda: Grains(count=9, porosity=0.17, packing_stress=1e9, modulus=1e10),
+        lambda: Grains(count=9, packing="square", packing_friction=0.1),
+        lambda: Grains(count=9, packing="periodic"),
         lambda: Matrix(),
         lambda: Matrix(permeability=1e-15, aperture=1e-5),
         lambda: Trace(name="t", start=(0, 0), end=(1, 1)),

@@ -4,9 +4,10 @@ Before the test the packed grains are relieved to INSTALLED, with the friction a
 were packed: grains packed without any keep their contacts closed, and little stress is locked in
 by the bonds that are then installed. *Biaxial*: the lateral walls hold the confining stress,
 the platens (bottom and top) approach each other at a constant strain rate, as in Potyondy &
-Cundall (2004). *Tension*: the grains next to the platens are gripped and pulled apart, the sides
-are free. A test ends when the stress has fallen to FALLEN of its peak, or at the largest strain,
-where grains that flow have reached their strength as well.
+Cundall (2004); a membrane may stand in for the lateral walls, without which parts of a jointed
+specimen would not slide apart. *Tension*: the grains next to the platens are gripped and pulled
+apart, the sides are free. A test ends when the stress has fallen to FALLEN of its peak, or at the
+largest strain, where grains that flow have reached their strength as well.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from model.mechanics.rock import specimen_of
 from model.mechanics.servo import STANDING, Servo
 from model.outcome import ModelError
 from model.products import Packing, StrengthTest
-from model.scene import Bonds, FailureTest
+from model.scene import Bonds, FailureTest, JointLine
 
 INSTALLED = 1e-5  # pressure over k_n at which bonds are installed
 RELIEVING = 6000  # most steps of that: without friction the last motion dies slowly
@@ -32,6 +33,7 @@ FLOWING = 1.1  # rise of the mean stress over the last two quarters of a test at
 RECORDS = 1000  # along the largest strain
 ELASTIC = 0.5  # part of the peak stress below which the moduli are read
 DAMPING = 0.7  # local: strain rates are small, waves should die
+FAR = 10.0  # widths and heights by which walls are taken away
 NEVER = -1.0  # a ratio at which nothing counts as at rest
 LEAST_STRESS = 1e-7  # over k_n, that a servo can hold
 
@@ -44,6 +46,7 @@ def strength(
     friction: float,
     bonds: Bonds | None,
     test: FailureTest,
+    joints: tuple[JointLine, ...] = (),
     seed: int = 0,
 ) -> StrengthTest:
     """Test a packing to failure, see the head of this file.
@@ -51,7 +54,7 @@ def strength(
     Parameters
     ----------
     packing : the packed state; all of it is the specimen.
-    normal_stiffness, stiffness_ratio, friction, bonds : as for `stress.load`.
+    normal_stiffness, stiffness_ratio, friction, bonds, joints : as for `stress.load`.
     test : what is done to it.
     seed : of the bonds' strengths.
 
@@ -62,7 +65,9 @@ def strength(
     """
     relieved = relieve(packing)
     unit, middle = float(packing.radius.mean()), _middle(relieved.box)
-    specimen = specimen_of(relieved, normal_stiffness, stiffness_ratio, friction, bonds, seed=seed)
+    specimen = specimen_of(
+        relieved, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed
+    )
     if test.kind == "tension":
         curve = _pull(specimen, test)
     else:
@@ -160,19 +165,40 @@ def _press(specimen: Specimen, test: FailureTest, kn: float) -> tuple[Array, Arr
         )
     drive = Servo(confining, confining, confining, confining, drive_y=-test.strain_step)
     gauge = Gauge(specimen)
+    width = float(specimen.box[1] - specimen.box[0])
+    if test.confinement == "membrane":
+        wrap(specimen, confining)
+        drive = drive._replace(drive_x=0.0)
     per_record = max(1, round(test.largest_strain / RECORDS / test.strain_step))
-    rows = [(_platens(specimen), 0.0, 0.0, _cracks(specimen))]
+    rows = [(_platens(specimen, width), 0.0, 0.0, _cracks(specimen))]
     never = Stop(ratio=NEVER, stress=np.inf)
     peak, taken = rows[0][0], 0
     while taken * test.strain_step < test.largest_strain:
         specimen.relax(drive, never, damping=DAMPING, steps=per_record)
         lateral, axial = gauge.strains()
-        rows.append((_platens(specimen), -axial, lateral, _cracks(specimen)))
+        if test.confinement == "walls":
+            width = float(specimen.box[1] - specimen.box[0])
+        rows.append((_platens(specimen, width), -axial, lateral, _cracks(specimen)))
         taken += per_record
         peak = max(peak, rows[-1][0])
         if rows[-1][0] < FALLEN * peak and peak > 1.2 * rows[0][0]:
             break
     return _columns(rows)
+
+
+def wrap(specimen: Specimen, confining: float) -> None:
+    """Put a membrane in place of the lateral walls: the confining stress stays, they go.
+
+    Each grain that touched a wall bears the stress on the height between the middles to its
+    neighbours there, and keeps this load wherever it goes, as by a fluid behind a membrane.
+    """
+    grains, box = specimen.grains, specimen.box
+    for gap, sign in ((grains.x - box[0], 1.0), (box[1] - grains.x, -1.0)):
+        held = np.flatnonzero(gap < grains.radius)
+        held = held[np.argsort(grains.y[held])]
+        middle = 0.5 * (grains.y[held][1:] + grains.y[held][:-1])
+        grains.load_x[held] += sign * confining * np.diff(middle, prepend=box[2], append=box[3])
+    box[:2] += FAR * (box[1] - box[0]) * np.array([-1.0, 1.0])
 
 
 def _pull(specimen: Specimen, test: FailureTest) -> tuple[Array, Array, Array, Array]:
@@ -182,7 +208,7 @@ def _pull(specimen: Specimen, test: FailureTest) -> tuple[Array, Array, Array, A
     top, bottom = grains.y > box[3] - GRIP, grains.y < box[2] + GRIP
     grains.inverse_mass[top | bottom] = 0.0
     gauge = Gauge(specimen)
-    box += 10.0 * np.array([-width, width, -height, height])  # no walls
+    box += FAR * np.array([-width, width, -height, height])
     length = height - GRIP
     speed = 0.5 * test.strain_step * length / specimen.dt
     grains.vy[:] = 2.0 * speed * grains.y / length
@@ -235,11 +261,9 @@ def _area(box: Array) -> float:
     return float((box[1] - box[0]) * (box[3] - box[2]))
 
 
-def _platens(specimen: Specimen) -> float:
-    """Mean stress on the bottom and top walls."""
-    return float(
-        0.5 * (specimen.sums.bottom + specimen.sums.top) / (specimen.box[1] - specimen.box[0])
-    )
+def _platens(specimen: Specimen, width: float) -> float:
+    """Mean stress on the bottom and top walls over a width."""
+    return float(0.5 * (specimen.sums.bottom + specimen.sums.top) / width)
 
 
 def _cracks(specimen: Specimen) -> float:

@@ -148,8 +148,8 @@ class Scene:
         if self.bonds is not None and self.stress is None and self.test is None:
             problems.append(("bonds", "bonds act only where the scene names a stress or a test"))
         for fracture in self.fractures:
-            if fracture.joint is not None and self.stress is None:
-                what = "a joint acts only where the scene names a stress"
+            if fracture.joint is not None and self.stress is None and self.test is None:
+                what = "a joint acts only where the scene names a stress or a test"
                 problems.append((f"fractures.{fracture.name}.joint", what))
             if fracture.joint is not None and self.stress and self.stress.method == "static":
                 what = "static knows no joints; take explicit or auto"

@@ -257,6 +257,11 @@ class FailureTest:
     confining_stress: float = parameter(
         "Pa", default=1e5, at_least=0, help="stress on the lateral walls of a biaxial test"
     )
+    confinement: str = parameter(
+        default="walls",
+        choices=("walls", "membrane"),
+        help="rigid lateral walls, or a membrane that lets parts of the specimen slide apart",
+    )
     strain_step: float = parameter(
         default=1e-7, at_least=1e-8, at_most=2e-5, help="axial strain of one time step"
     )

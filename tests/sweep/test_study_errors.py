@@ -83,7 +83,7 @@ MISTAKES_OF_JOINTS = [
     ("friction: 0.6", "friction: -1", "-1,", "fractures.joint.joint.friction: -1 is below 0"),
     ("{normal_stiffness: 10 GPa/m, shear_stiffness: 4 GPa/m, friction: 0.6, dilation_angle: 7 deg}", "5", "5}\n", "joint.joint is a mapping with the keys normal_stiffness"),
     ("from: [-3, 1], to: [4, 2]", "from: [-30, 90], to: [4, 92]", "[-30, 90]", "the fracture lies outside the region"),
-    ("  stress: {xx: 20 MPa, yy: 10 MPa}\n", "", "joint: {normal", "a joint acts only where the scene names a stress"),
+    ("  stress: {xx: 20 MPa, yy: 10 MPa}\n", "", "joint: {normal", "a joint acts only where the scene names a stress or a test"),
 ]  # fmt: skip
 
 
