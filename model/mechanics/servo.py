@@ -37,6 +37,10 @@ class Servo(NamedTuple):
 SWINGS = 100  # of the mean stress about its target, without decay, at which a servo oscillates
 DECAY = 0.8  # of the largest error, from swing to swing or over all of them, that counts as such
 STRONG = 0.05  # error of the mean stress, relative, below which a swing is noise
+TOO_STIFF = (  # why a servo oscillates, and what to try
+    "the specimen is far stiffer than its grains; try a bonds.modulus of less than some 30 times "
+    "theirs"
+)
 
 STANDING = Servo(1.0, 1.0, 1.0, 1.0, gain=0.0)  # a box that does not move
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from model.mechanics import measures, records
 from model.mechanics.bonds import INTACT
-from model.mechanics.equilibrium import FIRE, Specimen, Stop
+from model.mechanics.equilibrium import FIRE, OSCILLATES, Specimen, Stop
 from model.mechanics.grains import Array
 from model.mechanics.rock import specimen_of
-from model.mechanics.servo import STANDING, Servo
+from model.mechanics.servo import STANDING, TOO_STIFF, Servo
 from model.outcome import ModelError
 from model.products import Packing, StrengthTest
 from model.scene import Bonds, FailureTest, JointLine
@@ -157,7 +157,9 @@ def _press(specimen: Specimen, test: FailureTest, kn: float) -> tuple[Array, Arr
     """Stress, axial strain and lateral strain (extension positive), cracks of a biaxial test."""
     confining = max(test.confining_stress / kn, LEAST_STRESS)
     hold = Servo(INSTALLED, INSTALLED, confining, confining, pace=np.inf)
-    specimen.relax(hold, Stop(ratio=0.02, stress=0.1), damping=DAMPING, steps=4000)
+    reason = specimen.relax(hold, Stop(ratio=0.02, stress=0.1), damping=DAMPING, steps=4000)
+    if reason == OSCILLATES:
+        raise ModelError(f"the servo of the confining stress oscillates, for {TOO_STIFF}")
     if not 0.5 < specimen.sums.virial_xx / _area(specimen.box) / confining < 2.0:
         raise ModelError(
             f"the specimen does not hold the confining stress of {test.confining_stress:.4g} Pa; "

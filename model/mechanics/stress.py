@@ -29,7 +29,7 @@ from model.mechanics.equilibrium import AT_REST, OSCILLATES, STRAINED, TIME_STEP
 from model.mechanics.grains import at_rest
 from model.mechanics.held import HeldTrial
 from model.mechanics.rock import cemented, scaled, specimen_of
-from model.mechanics.servo import Servo, advanced, setpoint
+from model.mechanics.servo import TOO_STIFF, Servo, advanced, setpoint
 from model.mechanics.state import held_state, state_of
 from model.outcome import ModelError
 from model.products import Packing, StressState, UnitLoads
@@ -188,8 +188,7 @@ def _why(
     if reason == OSCILLATES:
         return (
             f"the servo oscillates {reached}: the stresses swing by {run.error:.0%} about their "
-            "targets without decay, for the specimen is far stiffer than its grains; try a "
-            "bonds.modulus of less than some 30 times theirs, or stress.method static"
+            f"targets without decay, for {TOO_STIFF}, or stress.method static"
         )
     if reason == STRAINED:
         strain = max(abs(run.strain_x), abs(run.strain_y))

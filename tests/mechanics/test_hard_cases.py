@@ -133,6 +133,8 @@ def test_a_servo_that_overshoots_for_ever_is_told(rock) -> None:
         ModelError, match=r"servo oscillates .* without decay.*try a bonds\.modulus"
     ):
         loaded(rock, 12e6, 10e6, cement=stiff, method="explicit")
+    with pytest.raises(ModelError, match=r"servo .* oscillates.*try a bonds\.modulus"):
+        to_failure(rock, stiff, confining_stress=10e6)
 
 
 @pytest.mark.parametrize(
