@@ -32,6 +32,7 @@ from model.mechanics.measures import listed
 from model.mechanics.motion import START_MIXING, Fire, fire_velocities, move
 from model.mechanics.neighbours import Pairs, find_pairs, largest_displacement, no_pairs
 from model.mechanics.servo import Servo, mean_stresses, setpoint, stretches
+from model.outcome import ModelError
 
 SHIFTS = np.array([(1, 0), (0, 1), (1, 1), (-1, 1)])
 FAR = 1e9 * np.array([-1.0, 1.0, -1.0, 1.0])  # walls that nothing reaches
@@ -169,7 +170,9 @@ class Cell:
     def __post_init__(self) -> None:
         sides = self.box[[1, 3]] - self.box[[0, 2]]
         if sides.min() < 6.0 * self.grains.radius.max():
-            raise ValueError("a periodic cell must be wider than six of its largest radii")
+            raise ModelError(
+                "a periodic tile must be wider than six of its largest radii; raise grains.tile"
+            )
         none = np.empty(0, np.int64)
         self.images = Images(none, none, none)
         self.pairs = no_pairs(len(self.grains.x))

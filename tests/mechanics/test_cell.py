@@ -14,7 +14,9 @@ from model.mechanics.servo import STANDING
 from model.mechanics.sizes import sizes_of
 from model.mechanics.targets import by_porosity
 from model.mechanics.tiles import tiled
-from model.stages import STAGES
+from model.outcome import ModelError
+from model.scene import Fluid, Grains, Matrix, Scene
+from model.stages import STAGES, simulate
 from tests.mechanics.rocks import REGIONS, net_forces
 
 LAW = sizes_of("uniform", 1.66, None, None)
@@ -158,5 +160,25 @@ def test_a_periodic_packing_covers_a_region(floaters: str) -> None:
 
 def test_a_cell_must_be_wide_enough() -> None:
     grains = at_rest(np.zeros(1), np.zeros(1), np.ones(1), np.ones(1))
-    with pytest.raises(ValueError, match="wider"):
+    with pytest.raises(ModelError, match="raise grains.tile"):
         Cell(grains, 2.0 * np.array([-1.0, 1.0, -1.0, 1.0]), ContactLaw(1.0, 0.4, 0.3))
+
+
+def test_a_periodic_packing_conducts_as_a_large_one() -> None:
+    """Nothing at the edges of its tiles lets more or less through."""
+    found = {}
+    for packing in ("periodic", "random"):
+        grains = Grains(count=1500, packing=packing, porosity=0.17, tile=400, seed=2)
+        scene = Scene(
+            region=REGIONS["disc"],
+            grains=grains,
+            matrix=Matrix(aperture=1e-5),
+            fluid=Fluid(1e-3, 1e9),
+            observe=("permeability",),
+        )
+        found[packing] = simulate(scene)
+    tensor = found["periodic"]["permeability"]
+    mean = 0.5 * np.trace(found["random"]["permeability"])
+    assert abs(tensor[0, 1]) < 0.05 * mean
+    np.testing.assert_allclose(np.diag(tensor), mean, rtol=0.08)
+    assert float(found["periodic"]["floater_fraction"]) < 0.1
