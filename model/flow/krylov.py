@@ -60,6 +60,11 @@ STRIDE = 0.3
 MOST_WAIT = 4
 FEW_PORES = 2000  # up to which a check costs little more than a vector
 
+# Vectors without any gain after which what is left is round-off, how much larger than the
+# projection's own it may look, and the most of it that an answer may have.
+IDLE = 12
+ROUND_OFF, MOST_ROUND_OFF = 10.0, 1e-7
+
 # Lags at which maps are compared; the error of a map changes slowly in time.
 MAP_CHECKS = 8
 
@@ -170,9 +175,14 @@ class Growth:
         self._outputs: dict[int, np.ndarray] = {}
 
     def to_tolerance(self, poles: Poles) -> float:
-        """Grow the space to the tolerance; the estimated error. Raises `ModelError`."""
+        """Grow the space to the tolerance; the estimated error. Raises `ModelError`.
+
+        Where rates lie so far apart that round-off hides the tolerance, the space grows until
+        nothing is gained any more; the error is then that which the last vectors show.
+        """
         space, tolerance = self.space, self.problem.tolerance
         wait, before = 0, 0.0
+        seen: dict[int, float] = {}
         while space.size < MOST_VECTORS:
             if not space.extend(*poles.next()):
                 return 0.0  # the space holds all that the source can reach
@@ -183,6 +193,12 @@ class Growth:
             error, before = max(found, FALL * before), found
             if error <= tolerance:
                 return error
+            seen[space.size] = error
+            late = [e for size, e in seen.items() if size > space.size - IDLE]
+            early = list(seen.values())[: -len(late)]
+            gained = not early or min(late) < 0.5 * min(early)
+            if not gained and max(late) <= min(ROUND_OFF * space.noise(), MOST_ROUND_OFF):
+                return max(late)
             further = math.log(tolerance / error) / math.log(rate)
             cheap |= self.problem.system.pores <= FEW_PORES
             wait = 1 if cheap else min(MOST_WAIT, math.ceil(STRIDE * further))

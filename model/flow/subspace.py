@@ -141,13 +141,15 @@ class Subspace:
         return Modes(decay, vectors, vectors.T @ self._load[:k])
 
     def noise(self) -> float:
-        """Relative round-off of the slowest mode where the projection is not measured."""
-        if len(self._triangle) == self.count:
+        """Relative round-off of the slowest mode; measured, the root of it is what is squared."""
+        if self.size == 0:
             return 0.0
-        decay = np.linalg.eigvalsh(
-            self._projected[self.start : self.count, self.start : self.count]
-        )
-        fastest, slowest = decay[-1], decay[0]
+        if len(self._triangle) == self.count:
+            size = np.linalg.svd(self._triangle, compute_uv=False)
+            fastest, slowest = size[0], size[self.size - 1]
+        else:
+            decay = self._decay_rates()
+            fastest, slowest = decay[-1], decay[0]
         return float(np.finfo(float).eps * fastest / slowest) if slowest > 0.0 else np.inf
 
     def slowest(self) -> float:

@@ -7,6 +7,8 @@ import pytest
 
 from model.flow import explicit as explicit_module
 from model.flow.explicit import paper_step, step_limit
+from model.flow.problem import Problem
+from model.flow.records import outputs
 from model.flow.solvers import SOLVERS, lags
 from model.network.apertures import transmissivity
 from model.observe import sites
@@ -358,6 +360,30 @@ def test_krylov_says_so_when_it_does_not_converge(monkeypatch):
     monkeypatch.setattr(krylov_module, "MOST_VECTORS", 4)
     with pytest.raises(ModelError, match="tolerance"):
         ROCK.respond((WELL,), ("left",), (1.0, 1e4), method="krylov", tolerance=1e-9)
+
+
+def test_krylov_goes_as_far_as_round_off_allows_and_says_how_far():
+    """Fifteen decades between the decay rates hide digits that were asked for."""
+    wall = Trace(name="wall", transmissibility_multiplier=1e-12, start=(0.0, -1.0), end=(0.0, 1.0))
+    rock = reservoir(SCATTER, BOX, 1e-5, (wall,))
+    system = rock.assembled(
+        sites((Well(name="w", at=(0.6, 0.0), radius=0.05, rate=1.0),)), ("left",)
+    )
+    problem = Problem(
+        system=system,
+        records=outputs(system, np.empty(0, dtype=np.int64)),
+        lag=step_limit(system) * np.logspace(0.0, 18.0, 37),
+        active=np.array([False, True]),
+        domain=np.empty(0, dtype=np.int64),
+        tolerance=1e-11,
+        safety_factor=0.9,
+        check_flows=False,
+    )
+    found = SOLVERS["krylov"].run(problem)
+    assert problem.tolerance < found.time_error < 1e-7
+    steady = SOLVERS["steady"].run(problem._replace(lag=np.array([np.inf])))
+    exact = steady.output[1, -1, 0]
+    assert found.output[1, -1, 0] == pytest.approx(exact, rel=found.time_error)
 
 
 @every
