@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from html import escape
+
 import numpy as np
 import xarray as xr
 
@@ -20,12 +23,18 @@ _NUMBERS = {  # columns of the table, where the dataset has them
 
 
 def promises(dataset: xr.Dataset, study: Study) -> str:
-    """A table of all cases where the study states how they should end; else nothing."""
+    """A table of all cases where the study states how they should end; else nothing.
+
+    What most cases are expected to do is said once, before the table.
+    """
     if not study.promised:
         return ""
     columns = [name for name in _NUMBERS if name in dataset]
     rows: list[tuple[object, ...]] = []
     met = 0
+    words = [in_words(study.expectation(k)) for k in np.ndindex(*dataset["status"].shape)]
+    usual, times = Counter(words).most_common(1)[0]
+    told = escape(f" The usual expectation is: {usual}.") if times > 1 else ""
     for position in np.ndindex(*dataset["status"].shape):
         index: Index = dict(zip(axes(dataset), map(int, position), strict=True))
         case = dataset.isel(index)
@@ -40,11 +49,12 @@ def promises(dataset: xr.Dataset, study: Study) -> str:
         met += good
         title = case_title(dataset, index) or "the only case"
         values = [numbers[name] for name in columns]
-        rows.append((title, in_words(expected), came_out, "yes" if good else "NO", *values))
+        asked = "the usual" if told and in_words(expected) == usual else in_words(expected)
+        rows.append((title, asked, came_out, "yes" if good else "NO", *values))
     head = ("case", "expected", "came out", "as expected", *(_NUMBERS[name] for name in columns))
     return (
         "<section><h2>Expected and found</h2>\n"
-        f"<p>{met} of {len(rows)} cases came out as the study says that they should.</p>\n"
+        f"<p>{met} of {len(rows)} cases came out as the study says that they should.{told}</p>\n"
         f"{grid(head, rows)}</section>"
     )
 
