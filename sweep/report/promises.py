@@ -14,6 +14,8 @@ from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected, in_words
 from sweep.report.html import grid
 from sweep.study import Study
 
+MANY = 60  # cases from which the table is folded, but for those that came out otherwise
+
 _NUMBERS = {  # columns of the table, where the dataset has them
     "time_error": "error in time",
     "mass_balance_error": "mass balance",
@@ -25,7 +27,7 @@ _NUMBERS = {  # columns of the table, where the dataset has them
 def promises(dataset: xr.Dataset, study: Study) -> str:
     """A table of all cases where the study states how they should end; else nothing.
 
-    What most cases are expected to do is said once, before the table.
+    What most cases are expected to do is said once, before the table; a long table is folded.
     """
     if not study.promised:
         return ""
@@ -52,10 +54,15 @@ def promises(dataset: xr.Dataset, study: Study) -> str:
         asked = "the usual" if told and in_words(expected) == usual else in_words(expected)
         rows.append((title, asked, came_out, "yes" if good else "NO", *values))
     head = ("case", "expected", "came out", "as expected", *(_NUMBERS[name] for name in columns))
+    table = grid(head, rows)
+    if len(rows) > MANY:
+        bad = [row for row in rows if row[3] == "NO"]
+        table = f"<details><summary>all cases</summary>{table}</details>"
+        table = (grid(head, bad) if bad else "") + table
     return (
         "<section><h2>Expected and found</h2>\n"
         f"<p>{met} of {len(rows)} cases came out as the study says that they should.{told}</p>\n"
-        f"{grid(head, rows)}</section>"
+        f"{table}</section>"
     )
 
 
