@@ -59,13 +59,14 @@ def _give_up(aside: Path, path: Path) -> None:
     The file stays open, empty: the library may not have let go of it, and would take another
     for it that is given its number.
     """
-    probe = os.open(aside, os.O_WRONLY | os.O_TRUNC)
-    try:
-        with naming(path):
+    with naming(path):
+        probe = os.open(aside, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        try:
             os.write(probe, bytes(PROBE_BYTES))
             os.fsync(probe)
-    finally:
-        os.truncate(probe, 0)
+        finally:
+            with suppress(OSError):
+                os.truncate(probe, 0)
 
 
 def _detach(path: Path) -> None:
