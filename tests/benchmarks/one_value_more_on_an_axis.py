@@ -15,12 +15,14 @@ from sweep.store import Store
 from tests.benchmarks.result import Result
 from tests.benchmarks.sweeps import ANGLES, RATES, four_axes, timed_command, timed_run
 
-GRAINS, BOUND = 1000, 1.5
+GRAINS, BOUND = 3000, 1.5
 GROWN = {"rate": {"rates": RATES + 1}, "angle": {"angles": ANGLES + 1}}
 
 
 def run() -> Result:
     """Grow the axis that nothing but observing reads, then one that networks read."""
+    small = four_axes("small", grains=100, angles=1, rates=1)
+    timed_run(small, small.parent.parent / "small", workers=1)  # compiles, once on a machine
     base = four_axes("grown", grains=GRAINS)
     results = base.parent.parent / "grown"
     full = timed_run(base, results, workers=2)
