@@ -125,12 +125,13 @@ def test_products_are_named_arrays(stage):
 
 
 READS = {
-    "pack": {"region", "grains.count", "grains.seed", "grains.porosity", "grains.radius_ratio"},
+    "pack": {"region", "grains.count", "grains.seed", "grains.porosity", "grains.radius_ratio"}
+    | {"grains.packing_stress", "grains.packing_friction"},
     "unit_loads": {"grains.friction", "grains.stiffness_ratio"},
     "stress": {"stress", "bonds", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
     | {"grains.seed", "joint"},
     "strength": {"test", "bonds", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
-    | {"grains.seed"},
+    | {"grains.seed", "joint"},
     "network": {"region"},
     "calibrate": set(),
     "open": {"region", "matrix", "fractures", "joint", "viscosity"},
@@ -150,6 +151,8 @@ def variants():
         "seed": 2,
         "porosity": 0.18,
         "radius_ratio": 1.7,
+        "packing_stress": 5e6,
+        "packing_friction": 0.1,
         "modulus": 3e10,
         "friction": 0.6,
         "stiffness_ratio": 2.0,
