@@ -14,7 +14,7 @@ from tests.benchmarks.result import Result
 BONDS = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)
 FRICTION, CONFINING = 20.0, 10e6  # degrees, Pa
 SLIDES, HOLDS = (35, 40, 45, 50, 55, 60), (0, 15, 90)
-PACKINGS, GRAINS, WITHIN = 3, 900, 2.0  # degrees of friction
+PACKINGS, GRAINS, WITHIN = 3, 900, 1.5  # degrees of friction
 
 
 def peak(rock: Packing, degrees: float, seed: int) -> float:
