@@ -21,15 +21,14 @@ from model.mechanics.held import HeldTrial
 from model.mechanics.measures import listed
 from model.mechanics.stiffness import ANCHOR, TOUCHING, Factor, factorise, matrix, solve
 from model.mechanics.trial import Trial, TrueTrial
-from model.mechanics.wall_contacts import LIGHT_PRESS, NEAR_GAP, WallContacts, press_load
-from model.mechanics.walls import INWARD, shear_load, tilt_load, wall_shares
+from model.mechanics.wall_contacts import WallContacts, loose_contacts
+from model.mechanics.walls import shear_load, tilt_load, wall_shares
 from model.products import UnitLoads
 
 MOST_CORRECTIONS = 40
 MOST_HELD = 6  # of a state whose contacts hold: each divides its unbalance by a hundred or more
 BASE_TOLERANCE, BASE_CORRECTIONS = 1e-9, 100  # of the packed state, from which stresses count
 REFINEMENTS = 3  # of each unit load
-LAST_HOLD = 0.99  # give of a wall contact times k_n, at which it is all that holds its grain
 MEMORY = 10  # corrections that the next one takes into account
 
 
@@ -91,18 +90,7 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
     carried[:, free, 1] = np.outer(displacement[:, -1], (grains.y[free] - box[2]) / height)
     carried[2, free, 0] += 0.5 * shear * grains.y[free]
     carried[2, free, 1] += 0.5 * shear * grains.x[free]
-    grain = np.concatenate(near)
-    side = np.repeat(np.arange(4), [len(held) for held in near])
-    touching = np.concatenate([np.isin(n, w) for n, w in zip(near, contacts.walls, strict=True)])
-    place = np.where(side < 2, grains.x[grain], grains.y[grain])
-    overlap = np.array(INWARD)[side] * (box[side] - place) + grains.radius[grain]
-    loose = np.flatnonzero(np.where(touching, overlap < LIGHT_PRESS, overlap > -NEAR_GAP))
-    presses = [press_load(int(grain[k]), int(side[k]), n) for k in loose]
-    pressed = [displaced(press) for press in presses]
-    gives = np.array([press @ u for press, u in zip(presses, pressed, strict=True)])
-    sole = touching[loose] & (gives > LAST_HOLD)  # without the wall nothing would hold the grain
-    pressed = [u for u, alone in zip(pressed, sole, strict=True) if not alone]
-    loose = loose[~sole]
+    loose = loose_contacts(specimen, near, contacts.walls, displaced)
     pairs = load_carrying(specimen)
     a, b = listed(pairs)
     glued = pairs.bond >= 0
@@ -112,7 +100,7 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         packed=np.array(packed, dtype=float),
         displacement=displacement,
         shear_strain=np.array(shear),
-        wall_grain=grain,
+        wall_grain=np.concatenate(near),
         wall_start=np.concatenate([[0], np.cumsum([len(held) for held in near])]),
         wall_share=np.concatenate(share),
         contact_a=a[glued],
@@ -120,9 +108,9 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         contact_shear=pairs.shear[glued],
         contact_distance=distance,
         touching=grains.radius[a[glued]] + grains.radius[b[glued]] > distance - TOUCHING,
-        loose=loose,
-        loose_touching=touching[loose],
-        loose_response=np.array(pressed, dtype=np.float32).reshape(len(loose), 3 * n + 2),
+        loose=loose.which,
+        loose_touching=loose.touching,
+        loose_response=loose.response,
         near_a=a[~glued],
         near_b=b[~glued],
         order=factor.order,

@@ -8,14 +8,52 @@ Its inverse follows from the factored one and its responses Y = K⁻¹ B to a un
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import numpy as np
 
+from model.mechanics.equilibrium import Specimen
 from model.mechanics.grains import Array
-from model.mechanics.walls import INWARD
+from model.mechanics.walls import INWARD, Walls
 from model.products import UnitLoads
 
 NEAR_GAP, LIGHT_PRESS = 0.01, 4e-5  # gap and overlap, mean radii, that stresses may undo
+LAST_HOLD = 0.99  # give of a wall contact times k_n, at which it is all that holds its grain
 MOST_CHANGES = 30
+
+
+class Loose(NamedTuple):
+    """Wall contacts that stresses may open or close, q of them."""
+
+    which: Array  # (q,) of all grains near walls
+    touching: Array  # (q,) bool, in the packed state
+    response: Array  # (q, 3 n + 2) float32: displacement by a unit press of the wall
+
+
+def loose_contacts(
+    specimen: Specimen, near: Walls, touching: Walls, displaced: Callable[[Array], Array]
+) -> Loose:
+    """Find them among the grains near each wall, and how they answer a press of it.
+
+    Left out are those without whose wall nothing would hold the grain.
+    """
+    grains, box, n = specimen.grains, specimen.box, len(specimen.grains.x)
+    grain = np.concatenate(near)
+    side = np.repeat(np.arange(4), [len(held) for held in near])
+    touch = np.concatenate([np.isin(n, w) for n, w in zip(near, touching, strict=True)])
+    place = np.where(side < 2, grains.x[grain], grains.y[grain])
+    overlap = np.array(INWARD)[side] * (box[side] - place) + grains.radius[grain]
+    which, response = [], []
+    for k in np.flatnonzero(np.where(touch, overlap < LIGHT_PRESS, overlap > -NEAR_GAP)):
+        press = press_load(int(grain[k]), int(side[k]), n)
+        answer = displaced(press)
+        if not touch[k] or press @ answer < LAST_HOLD:
+            which.append(k)
+            response.append(answer)
+    kept = np.array(which, dtype=np.int64)
+    answers = np.array(response, dtype=np.float32).reshape(len(kept), 3 * n + 2)
+    return Loose(kept, touch[kept], answers)
 
 
 def press_load(grain: int, side: int, n: int) -> Array:
