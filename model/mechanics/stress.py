@@ -155,7 +155,15 @@ def _held(
 
 def straight_path(pressure: float, xx: float, yy: float, *, cemented: bool = False) -> Servo:
     """Path of the wall stresses from an isotropic pressure to (xx, yy), all over k_n."""
-    start_xx, start_yy = max(pressure, LEAST_START * xx), max(pressure, LEAST_START * yy)
+    start = max(pressure, LEAST_START * xx), max(pressure, LEAST_START * yy)
+    return path_between(start, (xx, yy), cemented=cemented)
+
+
+def path_between(
+    start: tuple[float, float], end: tuple[float, float], *, cemented: bool = False
+) -> Servo:
+    """Straight path of the wall stresses (xx, yy) over k_n, at the pace stated above."""
+    (start_xx, start_yy), (xx, yy) = start, end
     way = max(abs(xx - start_xx), abs(yy - start_yy), 1e-3 * xx)
     return Servo(
         start_xx=start_xx,

@@ -15,7 +15,7 @@ from model.mechanics.compaction import hydrostatic
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
 from model.mechanics.grains import Array, at_rest, scaled_mass
-from model.mechanics.stress import DAMPING, straight_path
+from model.mechanics.stress import DAMPING, path_between
 from tests.benchmarks.result import Result
 from tests.benchmarks.steps import rock
 from tests.peers.yade import run_in_yade
@@ -51,8 +51,7 @@ def equilibria(x: Array, y: Array, radius: Array, box: Array) -> list[tuple[floa
         if phase == 0:
             servo, damping = hydrostatic(xx), FIRE
         else:
-            servo, damping = straight_path(0.0, xx, yy), DAMPING
-            servo = servo._replace(start_xx=before[0], start_yy=before[1])
+            servo, damping = path_between(before, (xx, yy)), DAMPING
         ended = specimen.relax(servo, STOP, damping=damping, steps=200_000)
         if ended != AT_REST:
             raise RuntimeError(f"{PHASES[phase]} did not come to rest: {specimen.run}")
