@@ -24,7 +24,7 @@ from model.mechanics.cell import Cell
 from model.mechanics.contacts import ContactLaw
 from model.mechanics.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
 from model.mechanics.floaters import fit
-from model.mechanics.grains import Array, along_hilbert_curve, at_rest, scaled_mass
+from model.mechanics.grains import Array, along_strips, at_rest, scaled_mass
 from model.mechanics.neighbours import find_pairs
 from model.mechanics.servo import STANDING, Servo
 from model.mechanics.sizes import Sizes, draw_radii
@@ -34,6 +34,7 @@ COMPACTION = 1e-3  # least pressure of phase 2, over k_n
 SHEAR_STIFFNESS = 1.0 / 2.5  # over the normal stiffness, while packing
 WALL_LAYER = 6.0  # mean radii from each wall in which porosity is not measured
 PATCH = 16  # grains strewn over each patch
+STRIP = 8.0  # mean radii, in which grains follow one another in memory
 RING = 12.0  # mean radii around a cell in which floaters are fitted to measure it
 RESTING_FRICTION = 10.0  # of the last phase
 APART = 1e-5  # mean contact force over k_n r below which strewn grains count as parted
@@ -114,7 +115,7 @@ def strewn(
     patch = rng.permuted(np.tile(patches, (n // len(patches) + 1, 1)), axis=1).ravel()[:n]
     x = ((patch % columns + rng.random(n)) / columns - 0.5) * box[0]
     y = ((patch // columns + rng.random(n)) / rows - 0.5) * box[1]
-    order = along_hilbert_curve(x, y)
+    order = along_strips(x, y, STRIP)
     x, y, radius = x[order], y[order], radius[order]
     half = 0.5 * box
     specimen = kind(

@@ -6,8 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.compile import kernel
-
 Array = np.ndarray
 
 
@@ -57,31 +55,11 @@ def scaled_mass(radius: Array, stiffness: Array | float, step: float) -> Array:
     return (2.0 * step) ** 2 * stiffness * np.maximum(1.0, room / 6.0)
 
 
-@kernel
-def hilbert_keys(x: Array, y: Array, low_x: float, low_y: float, size: float, bits: int) -> Array:
-    """Place of each point along a Hilbert curve of 4^bits cells over a square: int64 (n,)."""
-    keys = np.empty(x.size, np.int64)
-    n = 1 << bits
-    for k in range(x.size):
-        i = min(n - 1, max(0, int((x[k] - low_x) / size * n)))
-        j = min(n - 1, max(0, int((y[k] - low_y) / size * n)))
-        key = 0
-        s = n >> 1
-        while s > 0:
-            right = 1 if i & s else 0
-            up = 1 if j & s else 0
-            key += s * s * ((3 * right) ^ up)
-            if up == 0:
-                if right == 1:
-                    i = n - 1 - i
-                    j = n - 1 - j
-                i, j = j, i
-            s >>= 1
-        keys[k] = key
-    return keys
+def along_strips(x: Array, y: Array, height: float) -> Array:
+    """Order (n,) that goes strip by strip of some `height`, from left to right in each.
 
-
-def along_hilbert_curve(x: Array, y: Array) -> Array:
-    """Order in which neighbours in space are neighbours in memory: a permutation (n,)."""
-    size = max(np.ptp(x), np.ptp(y), np.finfo(float).tiny)
-    return np.argsort(hilbert_keys(x, y, x.min(), y.min(), size, 16), kind="stable")
+    Neighbours in space are then near each other in memory, and none is further away than the
+    grains of a strip. A Hilbert curve keeps more of them close but some very far, which is
+    slower where the arrays exceed the cache.
+    """
+    return np.lexsort((x, np.floor((y - y.min()) / height)))

@@ -51,7 +51,7 @@ def test_the_balance_closes(rock) -> None:
     assert found.damping > 0.0
     broken = np.count_nonzero(specimen.bonds.state != INTACT)
     assert "joints" in rock or (found.breakage > 0.0) == (broken > 0)
-    assert abs(found.jerks) <= 2e-5 * abs(found.input)  # of a joint that slips
+    assert abs(found.jerks) <= 1e-4 * abs(found.input)  # of a joint that slips
     assert abs(found.error) <= 1e-6 * abs(found.input)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.mechanics.grains import along_hilbert_curve, at_rest
+from model.mechanics.grains import along_strips, at_rest
 from model.mechanics.neighbours import find_pairs, no_pairs
 
 
@@ -55,10 +55,17 @@ def test_memory_survives_a_rebuild(seed) -> None:
         assert (shear, bond) == before.get(pair, (0.0, -1))
 
 
-def test_hilbert_curve_visits_neighbours_in_turn() -> None:
-    """On a grid of 2^k cells every step of the curve goes to the next cell."""
-    x, y = (v.ravel().astype(float) for v in np.meshgrid(np.arange(16), np.arange(16)))
-    order = along_hilbert_curve(x, y)
-    assert sorted(order) == list(range(256))
-    step = np.hypot(np.diff(x[order]), np.diff(y[order]))
-    np.testing.assert_allclose(step, 1.0)
+def test_grains_along_strips_are_near_their_neighbours_in_memory() -> None:
+    """On a grid, strips of h rows keep all within 1 of each other within h columns and a strip."""
+    n, h = 32, 4
+    x, y = (v.ravel().astype(float) for v in np.meshgrid(np.arange(n), np.arange(n)))
+    shuffled = np.random.default_rng(0).permutation(n * n)
+    order = shuffled[along_strips(x[shuffled], y[shuffled], h)]
+    assert sorted(order) == list(range(n * n))
+    place = np.empty(n * n, int)
+    place[order] = np.arange(n * n)
+    place = place.reshape(n, n)
+    along, across = np.abs(np.diff(place, axis=1)), np.abs(np.diff(place, axis=0))
+    assert along.max() < 2 * h
+    assert across.max() < n * h + h
+    assert np.mean(across < h) > 1.0 - 1.0 / h
