@@ -227,7 +227,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         function="model.mechanics.packing:pack",
-        version=4,
+        version=5,
         parents=(),
         reads={
             "region": lambda s: s.region,

@@ -7,7 +7,7 @@ import numpy as np
 from model.mechanics.equilibrium import Specimen
 from model.mechanics.grains import Array, Grains
 from model.mechanics.measures import listed, overlaps
-from model.mechanics.neighbours import Pairs
+from model.mechanics.neighbours import Pairs, some_pairs
 from model.mechanics.stiffness import TOUCHING, Contacts
 from model.mechanics.walls import Walls
 
@@ -77,9 +77,5 @@ def load_carrying(specimen: Specimen) -> Pairs:
     carries = carrying(len(grains.x), contacts_of(specimen))
     stays = (pairs.bond >= 0) | (overlaps(grains.x, grains.y, grains.radius, a, b) > 0.0)
     stays |= carries[a] & carries[b]
-    return pairs._replace(
-        start=np.concatenate([[0], np.cumsum(stays)])[pairs.start],
-        other=pairs.other[stays],
-        shear=pairs.shear[stays],
-        bond=pairs.bond[stays],
-    )
+    start = np.concatenate([[0], np.cumsum(stays)])[pairs.start]
+    return some_pairs(pairs, stays)._replace(start=start)

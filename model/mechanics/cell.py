@@ -30,7 +30,13 @@ from model.mechanics.grains import Array, Grains
 from model.mechanics.joints import JointState, no_joints
 from model.mechanics.measures import listed
 from model.mechanics.motion import START_MIXING, Fire, fire_velocities, move
-from model.mechanics.neighbours import Pairs, find_pairs, largest_displacement, no_pairs
+from model.mechanics.neighbours import (
+    Pairs,
+    find_pairs,
+    largest_displacement,
+    no_pairs,
+    some_pairs,
+)
 from model.mechanics.servo import Servo, mean_stresses, setpoint, stretches
 from model.outcome import ModelError
 
@@ -264,9 +270,7 @@ class Cell:
         found = find_pairs(self._all, self.skin, no_pairs(n + len(owner)))
         last = found.start[n]
         found.start[n:] = last  # images do not meet each other
-        self.pairs = found._replace(
-            other=found.other[:last], shear=found.shear[:last], bond=found.bond[:last]
-        )
+        self.pairs = some_pairs(found, slice(last))
         keys = self._keys()
         kept = np.flatnonzero(np.isin(keys, old_keys))
         order = np.argsort(old_keys)

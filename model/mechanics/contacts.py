@@ -13,21 +13,13 @@ from typing import NamedTuple
 import numpy as np
 
 from model.compile import kernel
-from model.mechanics.bonds import (
-    CONTACT_BONDS,
-    INTACT,
-    NO_BONDS,
-    PARALLEL_BONDS,
-    BondState,
-    bond_state,
-    load_parallel_bond,
-    note_crack,
-)
-from model.mechanics.energy import BREAKAGE, ELASTIC, JERKS, SLIP
+from model.mechanics.blocks import BLOCK, ROWS, cement, gather, hand_back, project, touch
+from model.mechanics.bonds import NO_BONDS, BondState
+from model.mechanics.energy import ELASTIC
 from model.mechanics.grains import Array, Grains
 from model.mechanics.joints import JointState, joint_forces
-from model.mechanics.laws import normal_force, shear_force, slip, spent, tangential_step
-from model.mechanics.neighbours import JOINED, Pairs
+from model.mechanics.laws import normal_force
+from model.mechanics.neighbours import Pairs
 
 
 class ContactLaw(NamedTuple):
@@ -82,7 +74,6 @@ def contact_forces(
     less what the walls push. `ledger` counts energies where it is given.
     """
     x, y, radius = grains.x, grains.y, grains.radius
-    vx, vy, spin = grains.vx, grains.vy, grains.spin
     fx, fy, torque = grains.fx, grains.fy, grains.torque
     kn, ks, mu = law.kn, law.ks, law.friction
     xmin, xmax, ymin, ymax = box[0], box[1], box[2], box[3]
@@ -95,100 +86,24 @@ def contact_forces(
     contacts, force = 0, 0.0
     if joints.a.size > 0:
         contacts, force = joint_forces(grains, joints, box, step, dt, stretch_x, stretch_y, ledger)
-    special = bonds.kind != NO_BONDS or joints.a.size > 0
+    special = bonds.kind != NO_BONDS or joints.a.size > 0 or ledger is not None
+    own = np.zeros((3, x.size))
+    w = np.zeros(ROWS * BLOCK)
+    for begin in range(0, pairs.other.size, BLOCK):
+        count = min(BLOCK, pairs.other.size - begin)
+        gather(w, grains, pairs, begin, count, dt, stretch_x, stretch_y)
+        touch(w, count, kn, ks, mu)
+        if special:
+            cement(w, grains, pairs, bonds, begin, count, kn, ks, box, step, ledger)
+        contacts += project(w, count)
+        force += hand_back(w, grains, pairs, own, begin, count)
     virial_xx = virial_yy = virial_xy = load_xx = load_yy = 0.0
     unbalanced, loaded = 0.0, 0
     left = right = bottom = top = 0.0
     n_left = n_right = n_bottom = n_top = 0
     for i in range(x.size):
         xi, yi, ri = x[i], y[i], radius[i]
-        vxi, vyi, wi = vx[i], vy[i], spin[i]
-        fxi, fyi, ti = fx[i], fy[i], torque[i]
-        for k in range(pairs.start[i], pairs.start[i + 1]):
-            j = np.uint64(pairs.other[k])  # a signed index would be checked against zero
-            dx, dy = x[j] - xi, y[j] - yi
-            reach = ri + radius[j]
-            d2 = dx * dx + dy * dy
-            b = -1
-            if special:
-                b = pairs.bond[k]
-                if b == JOINED:
-                    continue
-                if b >= 0 and bonds.state[b] != INTACT:
-                    b = -1
-            if d2 >= reach * reach and b < 0 and ledger is None:
-                pairs.shear[k] = 0.0
-                continue
-            d = np.sqrt(d2)
-            un = reach - d
-            if d > 0.0:
-                inverse = 1.0 / d
-                nx, ny = dx * inverse, dy * inverse
-            else:  # centres coincide: any direction parts them
-                inverse, nx, ny = 0.0, 1.0, 0.0
-            li, lj = ri - 0.5 * un, radius[j] - 0.5 * un
-            ux = dt * (vx[j] - vxi) + stretch_x * dx
-            uy = dt * (vy[j] - vyi) + stretch_y * dy
-            us = tangential_step(ux, uy, nx, ny, inverse, dt * wi, dt * spin[j], li, lj)
-            fn = normal_force(kn, un)
-            fs = shear_force(pairs.shear[k], ks, us)
-            glued = False
-            if b >= 0 and bonds.kind == CONTACT_BONDS:
-                fn = normal_force(kn, bonds.length[b] - d)
-                state = bond_state(bonds, b, fn, fs, 0.0)
-                glued = state == INTACT
-                if not glued:
-                    fn = normal_force(kn, un)
-                    bonds.state[b] = state
-                    note_crack(bonds.cracks, b, state, step, xi + li * nx, yi + li * ny, box)
-            if not glued:
-                fn = max(fn, 0.0)
-                fs = slip(fs, mu * fn)
-            if ledger is not None:
-                lost = spent(pairs.shear[k], fs, ks, us)
-                if b >= 0 and bonds.kind == CONTACT_BONDS and not glued:
-                    dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
-                    lost += spent(kn * (bonds.length[b] - d + dn), fn, kn, dn)
-                    ledger[BREAKAGE] += lost
-                else:
-                    ledger[SLIP] += lost
-                    if not glued:
-                        dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
-                        ledger[JERKS] += spent(max(kn * (un + dn), 0.0), fn, kn, dn)
-                ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / max(ks, 1e-300)
-            pairs.shear[k] = fs
-            if d2 >= reach * reach and b < 0:
-                continue
-            if b >= 0 and bonds.kind == PARALLEL_BONDS:
-                shear, moment = bonds.shear[b], bonds.moment[b]
-                turn = dt * (spin[j] - wi)
-                bn, bs, bm = load_parallel_bond(bonds, b, d, us, turn)
-                state = bonds.state[b]
-                if state != INTACT:
-                    note_crack(bonds.cracks, b, state, step, xi + li * nx, yi + li * ny, box)
-                if ledger is not None:
-                    bkn, bks, bkr = bonds.kn[b], bonds.ks[b], bonds.kr[b]
-                    if state != INTACT:
-                        dn = d - np.sqrt((dx - ux) * (dx - ux) + (dy - uy) * (dy - uy))
-                        ledger[BREAKAGE] += (
-                            spent(bkn * (bonds.length[b] - d + dn), 0.0, bkn, dn)
-                            + spent(shear, 0.0, bks, us)
-                            + spent(moment, 0.0, bkr, turn)
-                        )
-                    ledger[ELASTIC] += 0.5 * (bn * bn / bkn + bs * bs / bks + bm * bm / bkr)
-                fn += bn
-                fs += bs
-                ti -= bm
-                torque[j] += bm
-            fcx, fcy = fn * nx - fs * ny, fn * ny + fs * nx
-            fxi -= fcx
-            fyi -= fcy
-            ti -= li * fs
-            fx[j] += fcx
-            fy[j] += fcy
-            torque[j] -= lj * fs
-            contacts += 1
-            force += np.sqrt(fn * fn + fs * fs)
+        fxi, fyi, ti = fx[i] + own[0, i], fy[i] + own[1, i], torque[i] + own[2, i]
         if xi - ri < xmin:
             fn = normal_force(kn, xmin - (xi - ri))
             fxi += fn

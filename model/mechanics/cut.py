@@ -122,6 +122,7 @@ def _part(specimen: Specimen, kept: Array, box: Array) -> Specimen:
     number = np.cumsum(kept) - 1
     known = Pairs(
         start=np.searchsorted(number[a[stays]], np.arange(int(kept.sum()) + 1)),
+        one=number[a[stays]].astype(np.int32),
         other=number[b[stays]].astype(np.int32),
         shear=pairs.shear[stays],
         bond=pairs.bond[stays],

@@ -94,8 +94,7 @@ class Joints:
         Pairs that touch hand their force (`kn` times the overlap, and their shear) to the joint
         as far as it can carry it.
         """
-        a = np.repeat(np.arange(len(grains.x)), np.diff(pairs.start))
-        b = pairs.other.astype(np.int64)
+        a, b = pairs.one.astype(np.int64), pairs.other.astype(np.int64)
         n = np.int64(len(grains.x))
         old = np.isin(a * n + b, known.a * n + known.b)
         pairs.bond[old] = JOINED

@@ -16,8 +16,7 @@ PARTS = 16  # of a branch, to find how much of it lies in a region
 
 def listed(pairs: Pairs) -> tuple[Array, Array]:
     """The pairs of a list as two int64 arrays (a, b), a < b, sorted by (a, b)."""
-    a = np.repeat(np.arange(len(pairs.start) - 1), np.diff(pairs.start))
-    return a, pairs.other.astype(np.int64)
+    return pairs.one.astype(np.int64), pairs.other.astype(np.int64)
 
 
 def overlaps(x: Array, y: Array, radius: Array, a: Array, b: Array) -> Array:

@@ -21,6 +21,7 @@ class Pairs(NamedTuple):
     """Pairs (i, j), i < j, of n grains; those of grain i are start[i] … start[i + 1] − 1."""
 
     start: Array  # (n + 1,) int64
+    one: Array  # (m,) int32: grain i
     other: Array  # (m,) int32: grain j
     shear: Array  # (m,) shear force of the pair
     bond: Array  # (m,) int32: index into the bonds, −1 for none, or JOINED
@@ -33,10 +34,21 @@ def no_pairs(n: int) -> Pairs:
     return Pairs(
         np.zeros(n + 1, np.int64),
         np.empty(0, np.int32),
+        np.empty(0, np.int32),
         np.empty(0),
         np.empty(0, np.int32),
         np.empty(n),
         np.empty(n),
+    )
+
+
+def some_pairs(pairs: Pairs, which: Array | slice) -> Pairs:
+    """The list with some of its pairs; `start` is left to the caller."""
+    return pairs._replace(
+        one=pairs.one[which],
+        other=pairs.other[which],
+        shear=pairs.shear[which],
+        bond=pairs.bond[which],
     )
 
 
@@ -61,6 +73,7 @@ def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
         new = Pairs(
             np.empty(len(x) + 1, np.int64),
             np.empty(capacity, np.int32),
+            np.empty(capacity, np.int32),
             np.empty(capacity),
             np.empty(capacity, np.int32),
             x.copy(),
@@ -68,9 +81,7 @@ def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
         )
         count = fill_pairs(new, radius, skin, low_x, low_y, size, nx, ny, first, members, old)
         if count <= capacity:
-            return new._replace(
-                other=new.other[:count], shear=new.shear[:count], bond=new.bond[:count]
-            )
+            return some_pairs(new, slice(count))
         capacity = count
 
 
@@ -128,6 +139,7 @@ def fill_pairs(
                         while k > new.start[i] and new.other[k - 1] > j:
                             new.other[k] = new.other[k - 1]
                             k -= 1
+                        new.one[count] = i
                         new.other[k] = j
                     count += 1
         if count <= room:

@@ -67,6 +67,7 @@ def specimen_of(
         )
     contacts = Pairs(
         start=np.searchsorted(a, np.arange(len(x) + 1)),
+        one=a.astype(np.int32),
         other=b.astype(np.int32),
         shear=shear,
         bond=np.arange(len(a), dtype=np.int32) if bonds else np.full(len(a), -1, np.int32),

@@ -15,6 +15,7 @@ import numpy as np
 
 from model.mechanics import stress as stage
 from model.mechanics.equilibrium import Stop
+from model.mechanics.measures import listed
 from model.mechanics.rock import specimen_of
 from model.products import Packing
 from tests.benchmarks.result import Result, at_most
@@ -53,8 +54,7 @@ def forces(rock: Packing, ratio: float, way: Way) -> np.ndarray:
     path = path._replace(gain=way.gain, pace=way.pace * path.pace)
     specimen.relax(path, Stop(ratio=1e-4, stress=1e-4), damping=way.damping, steps=200_000)
     grains, pairs = specimen.grains, specimen.pairs
-    a = np.repeat(np.arange(len(grains.x)), np.diff(pairs.start))
-    b = pairs.other
+    a, b = listed(pairs)
     distance = np.hypot(grains.x[b] - grains.x[a], grains.y[b] - grains.y[a])
     normal = np.maximum(grains.radius[a] + grains.radius[b] - distance, 0.0)
     every = np.zeros((2, len(rock.contact_a)))

@@ -43,7 +43,13 @@ def strained_star(kind: str, strain_x: float, strain_y: float, kn: float, ks: fl
     grains = at_rest(x * (1 + strain_x), y * (1 + strain_y), np.ones(7), np.ones(7))
     start = np.r_[0, np.full(7, 6)]
     pairs = Pairs(
-        start, np.arange(1, 7, dtype=np.int32), np.zeros(6), np.arange(6, dtype=np.int32), x, y
+        start,
+        np.zeros(6, np.int32),
+        np.arange(1, 7, dtype=np.int32),
+        np.zeros(6),
+        np.arange(6, dtype=np.int32),
+        x,
+        y,
     )
     law = ContactLaw(kn, ks, 0.0)
     cement = bonds(kind, 6, kn=kn, ks=ks)
@@ -116,8 +122,8 @@ def test_contact_bond_breaks_at_force_over_its_section() -> None:
 def test_pulled_pair_comes_apart_for_good(kind: str) -> None:
     grains = at_rest(np.array([-1.0, 1.0]), np.zeros(2), np.ones(2), np.ones(2))
     pairs = Pairs(
-        np.array([0, 1, 1]), np.array([1], np.int32), np.zeros(1), np.zeros(1, np.int32),
-        grains.x.copy(), grains.y.copy(),
+        np.array([0, 1, 1]), np.array([0], np.int32), np.array([1], np.int32), np.zeros(1),
+        np.zeros(1, np.int32), grains.x.copy(), grains.y.copy(),
     )  # fmt: skip
     cement = bonds(kind, 1, tensile=0.01)
     law = ContactLaw(1.0, 0.4, 0.5)
@@ -169,7 +175,7 @@ def cantilever(n: int, radius: float, ks: float) -> tuple[float, float]:
     grains = at_rest(middle, np.zeros(n), np.full(n, radius), mass)
     start = np.r_[np.arange(n), n - 1]
     pairs = Pairs(
-        start, np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
+        start, np.arange(n - 1, dtype=np.int32), np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
         np.arange(n - 1, dtype=np.int32), middle, np.zeros(n),
     )  # fmt: skip
     cement = bonds("parallel", n - 1, ks=ks, radius=radius)
@@ -212,7 +218,8 @@ def test_breakages_are_told_with_step_place_and_mode() -> None:
     mass[[0, -1]] = np.inf
     grains = at_rest(x, np.zeros(n), np.ones(n), mass)
     pairs = Pairs(
-        np.r_[np.arange(n), n - 1], np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
+        np.r_[np.arange(n), n - 1], np.arange(n - 1, dtype=np.int32),
+        np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
         np.arange(n - 1, dtype=np.int32), x, np.zeros(n),
     )  # fmt: skip
     cement = bonds("contact", n - 1, tensile=1e-3)

@@ -1,16 +1,19 @@
 """Two or three discs: what the contact and motion kernels must keep, and closed forms."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from model.mechanics.blocks import BLOCK
 from model.mechanics.bonds import no_bonds
 from model.mechanics.contacts import ContactLaw, contact_forces
 from model.mechanics.equilibrium import OUT_OF_STEPS, Specimen, Stop
 from model.mechanics.grains import Grains, at_rest
 from model.mechanics.joints import no_joints
-from model.mechanics.laws import local_damping, normal_force, shear_force, slip
+from model.mechanics.laws import local_damping, normal_force, shear_force, slip, tangential_step
 from model.mechanics.neighbours import find_pairs, no_pairs
 from model.mechanics.servo import STANDING, Servo
 
@@ -117,6 +120,56 @@ def test_action_equals_reaction_with_walls() -> None:
     inner = np.sum(grains.x * grains.fx)
     outer = -sums.left * box[0] + sums.right * box[1]
     assert sums.virial_xx == pytest.approx(outer + inner, rel=1e-12)
+
+
+def test_forces_are_the_laws_pair_by_pair() -> None:
+    """Two steps against a plain loop over all pairs; a large disc has more of them than a block."""
+    rng = np.random.Generator(np.random.PCG64(4))
+    n, dt, stretch, law = 300, 0.3, (1e-3, -2e-3), ContactLaw(1.0, 0.4, 0.5)
+    angle = 2.0 * np.pi * np.arange(1, n) / (n - 1)
+    radius = np.r_[40.0, rng.uniform(0.3, 0.6, n - 1)]
+    way = 40.0 + radius[1:] * rng.uniform(0.8, 1.1, n - 1)
+    way[::50] = 60.0
+    x, y = np.r_[0.0, way * np.cos(angle)], np.r_[0.0, way * np.sin(angle)]
+    grains = at_rest(x, y, radius, np.ones(n))
+    grains.vx[:], grains.vy[:], grains.spin[:] = 0.03 * rng.normal(size=(3, n))
+    pairs = find_pairs(grains, 0.3, no_pairs(n))
+    assert np.diff(pairs.start).max() > 2 * BLOCK
+
+    fx, fy, torque, shear = np.zeros(n), np.zeros(n), np.zeros(n), {}
+    for step in range(2):
+        sums = contact_forces(
+            grains, pairs, no_bonds(), no_joints(), law, FAR, step, dt, *stretch, None
+        )
+        fx[:], fy[:], torque[:], contacts, force = 0.0, 0.0, 0.0, 0, 0.0
+        for i, j in itertools.combinations(range(n), 2):
+            dx, dy = x[j] - x[i], y[j] - y[i]
+            d = np.hypot(dx, dy)
+            un = radius[i] + radius[j] - d
+            if un <= 0.0:
+                continue
+            nx, ny = dx / d, dy / d
+            ux = dt * (grains.vx[j] - grains.vx[i]) + stretch[0] * dx
+            uy = dt * (grains.vy[j] - grains.vy[i]) + stretch[1] * dy
+            arms = radius[i] - 0.5 * un, radius[j] - 0.5 * un
+            turns = dt * grains.spin[i], dt * grains.spin[j]
+            us = tangential_step(ux, uy, nx, ny, 1.0 / d, *turns, *arms)
+            fn = law.kn * un
+            fs = slip(shear.get((i, j), 0.0) - law.ks * us, law.friction * fn)
+            shear[i, j] = fs
+            for k, sign in ((i, -1.0), (j, 1.0)):
+                fx[k] += sign * (fn * nx - fs * ny)
+                fy[k] += sign * (fn * ny + fs * nx)
+            torque[i] -= arms[0] * fs
+            torque[j] -= arms[1] * fs
+            contacts += 1
+            force += np.hypot(fn, fs)
+    listed = dict(zip(zip(pairs.one, pairs.other, strict=True), pairs.shear, strict=True))
+    assert {pair: fs for pair, fs in listed.items() if fs != 0.0} == pytest.approx(shear, abs=1e-13)
+    assert sums.contacts == contacts
+    assert sums.force == pytest.approx(force, rel=1e-12)
+    for got, wanted in ((grains.fx, fx), (grains.fy, fy), (grains.torque, torque)):
+        np.testing.assert_allclose(got, wanted, atol=1e-11)
 
 
 def test_disc_on_a_plane_slides_at_the_friction_limit() -> None:

@@ -129,8 +129,8 @@ def bridge(**strengths) -> Specimen:
         distance=np.array([2.1]), **strengths,
     )  # fmt: skip
     known = Pairs(
-        np.array([0, 1, 1]), np.array([1], np.int32), np.zeros(1), np.zeros(1, np.int32),
-        x, np.zeros(2),
+        np.array([0, 1, 1]), np.array([0], np.int32), np.array([1], np.int32), np.zeros(1),
+        np.zeros(1, np.int32), x, np.zeros(2),
     )  # fmt: skip
     grains = at_rest(x, np.zeros(2), radius, np.full(2, np.inf))
     box = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
