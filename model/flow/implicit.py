@@ -54,7 +54,7 @@ RUNGS_PER_OCTAVE = 1  # steps are 2^k s
 # Local error of a step, as the embedded method sees it, over the tolerance. The estimate is
 # of the order of the step to the fourth power, as the error gathered over a decade of
 # time is, so that one factor makes the tolerance mean the error at every tolerance.
-LOCAL_SHARE = 0.15
+LOCAL_SHARE = 0.11
 
 SAFETY = 0.9
 MOST_GROWTH = 4.0
