@@ -339,7 +339,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=7,
+        version=8,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -348,7 +348,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="model.flow.solvers:flow",
-        version=4,
+        version=5,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

@@ -181,7 +181,7 @@ class Growth:
         nothing is gained any more; the error is then that which the last vectors show.
         """
         space, tolerance = self.space, self.problem.tolerance
-        wait, before = 0, 0.0
+        wait, before = 0, 1.0  # the error of no vectors: the first estimate may stand on a stair
         seen: dict[int, float] = {}
         while space.size < MOST_VECTORS:
             if not space.extend(*poles.next()):
