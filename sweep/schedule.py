@@ -21,7 +21,7 @@ from sweep.plan import Kind, Plan
 BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts about this long
 BUNDLE_LENGTH = 64  # and holds no more runs than this
 ATTEMPTS_ALONE = 2  # deaths of a worker, with nothing else on it, that convict a run
-SPARE_ATTEMPTS = 4  # further ones, one for each death that nobody is to blame for
+SPARE_ATTEMPTS = 10  # further ones, one for each death that nobody is to blame for
 
 
 class State(IntEnum):

@@ -8,6 +8,7 @@ counts where its true error is within the tolerance; explicit runs at its defaul
 from __future__ import annotations
 
 import itertools
+import statistics
 import time
 from collections.abc import Callable
 from typing import NamedTuple
@@ -85,20 +86,24 @@ def measure(name: str, problem: Problem) -> Row:
         chosen = choose("auto", problem)
         return SOLVERS[chosen.method].run(chosen.problem)
 
-    took = shortest(runs | {"auto": auto})
+    took = typical(runs | {"auto": auto})
     return Row(name, took, choice.method, took.pop("auto"), error)
 
 
-def shortest(runs: dict[str, Callable[[], object]]) -> dict[str, float]:
-    """Shortest processor time of each, taken in turns; all of them run on one thread."""
-    took = dict.fromkeys(runs, np.inf)
+def typical(runs: dict[str, Callable[[], object]]) -> dict[str, float]:
+    """Median processor time of each, taken in turns; all of them run on one thread.
+
+    Not the shortest: a virtual machine's clock of processor time jumps now and then, and once
+    gave a tenth of what is possible.
+    """
+    took: dict[str, list[float]] = {name: [] for name in runs}
     start = time.process_time()
     turns = 0
     while turns < 3 or (turns < MOST_TURNS and time.process_time() < start + ENOUGH):
         for name, run in runs.items():
-            took[name] = min(took[name], seconds(run, 1, time.process_time))
+            took[name].append(seconds(run, 1, time.process_time))
         turns += 1
-    return took
+    return {name: statistics.median(each) for name, each in took.items()}
 
 
 def rows() -> list[Row]:
