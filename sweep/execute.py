@@ -30,7 +30,7 @@ from sweep.pools.local import LocalPool
 from sweep.pools.remote import RemotePool
 from sweep.progress import Progress
 from sweep.schedule import Bundle, Schedule
-from sweep.signals import uninterrupted
+from sweep.signals import signals_noted, uninterrupted
 from sweep.stages import MODEL, Status
 from sweep.store import Store
 from sweep.study import Limits
@@ -138,25 +138,26 @@ class _Execution:
         self.begin, self.alive = begin, time.monotonic()
 
     def loop(self) -> None:
-        """Hand out, wait, take in, until nothing is left to do."""
+        """Hand out, wait, take in, until nothing is left to do or a signal ends it."""
         shown = looked = 0.0
-        while self.schedule.pending:
-            self._hand_out()
-            with suppress(Empty):
-                self._hear(*self.events.get(timeout=TICK))
-                while True:
-                    self._hear(*self.events.get_nowait())
-            now = time.monotonic()
-            if now - looked > TICK:
-                again, self.unanswered = self.unanswered, []
-                for waiting in again:
-                    self._take_in(*waiting)
-                self._look()
-                looked = now
-            if self.progress and now - shown > TICK:
-                self._show()
-                shown = now
-        self._show()
+        with signals_noted() as noted:
+            while self.schedule.pending and not noted:
+                self._hand_out()
+                with suppress(Empty):
+                    self._hear(*self.events.get(timeout=TICK))
+                    while True:
+                        self._hear(*self.events.get_nowait())
+                now = time.monotonic()
+                if now - looked > TICK:
+                    again, self.unanswered = self.unanswered, []
+                    for waiting in again:
+                        self._take_in(*waiting)
+                    self._look()
+                    looked = now
+                if self.progress and now - shown > TICK:
+                    self._show()
+                    shown = now
+            self._show()
 
     def _hand_out(self) -> None:
         addresses, now = self.pool.addresses(), time.monotonic()

@@ -10,6 +10,28 @@ from multiprocessing import resource_tracker
 
 
 @contextmanager
+def signals_noted() -> Iterator[list[int]]:
+    """Note Ctrl-C and SIGTERM in the list instead of raising; raise them at the end.
+
+    An exception that a signal raises inside a destructor, as of one of Dask's futures, is lost.
+    A signal that is ignored, as after `nohup`, stays so.
+    """
+    noted: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield noted
+        return
+    numbers = [n for n in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(n) != signal.SIG_IGN]
+    before = {n: signal.signal(n, lambda heard, _: noted.append(heard)) for n in numbers}
+    try:
+        yield noted
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for heard in noted:
+            signal.raise_signal(heard)
+
+
+@contextmanager
 def signals_kept_for_later() -> Iterator[None]:
     """Start processes that do not hear Ctrl-C, and hear it oneself only once they stand.
 
@@ -19,20 +41,12 @@ def signals_kept_for_later() -> Iterator[None]:
     """
     # multiprocessing's tracker unblocks the signal in the thread that starts it: start it now
     resource_tracker.ensure_running()
-    caught: list[int] = []
-    handlers = {}
-    if threading.current_thread() is threading.main_thread():
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handlers[number] = signal.signal(number, lambda n, _: caught.append(n))
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for heard in caught:
-            signal.raise_signal(heard)
+    with signals_noted():
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextmanager

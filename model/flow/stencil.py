@@ -32,7 +32,7 @@ class Stencil(NamedTuple):
 
     order: np.ndarray  # (n,) the unknown that stands at each place
     start: np.ndarray  # (chunks + 1,) first place of each chunk
-    near: np.ndarray  # (pores, WIDTH) int32: places of the first neighbours, itself where none
+    near: np.ndarray  # (pores, WIDTH) uint32: places of the first neighbours, itself where none
     near_weight: np.ndarray  # (pores, WIDTH)
     row: np.ndarray  # (m,) int32: further neighbours and wells, one entry each
     column: np.ndarray  # (m,) int32
@@ -75,7 +75,7 @@ def stencil(system: System, wells: Algebraic) -> Stencil:
     weight = g / storage[i]
     position = np.arange(len(i)) - np.searchsorted(i, i)
     first = (position < WIDTH) & (j < pores)
-    near = np.repeat(np.arange(pores, dtype=np.int32)[:, None], WIDTH, axis=1)
+    near = np.repeat(np.arange(pores, dtype=np.uint32)[:, None], WIDTH, axis=1)
     near_weight = np.zeros((pores, WIDTH))
     near[i[first], position[first]] = j[first]
     near_weight[i[first], position[first]] = weight[first]
@@ -186,7 +186,8 @@ def _advance(p, q, integral, dt, s, driven, well_source, chunk):
     pores = s.near.shape[0]
     for k in range(s.rim_start[chunk], s.rim_start[chunk + 1]):
         integral[s.rim_unknown[k]] += dt * p[s.rim_place[k]]
-    for i in range(s.start[chunk], s.start[chunk + 1]):
+    for k in range(s.start[chunk], s.start[chunk + 1]):
+        i = np.uint64(k)  # a signed index would be checked against zero, as would `near`'s
         x = p[i]
         left = s.near_weight[i, 0] * (p[s.near[i, 0]] - x)
         left += s.near_weight[i, 1] * (p[s.near[i, 1]] - x)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -65,8 +66,14 @@ def start(study: Path, results: Path, *options: str, **environment: str) -> Run:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
+        preexec_fn=_hear_interrupts,
     )
     return Run(process, mark)
+
+
+def _hear_interrupts() -> None:
+    """A run hears Ctrl-C also where the tests themselves run in the background, which do not."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def products(results: Path) -> dict[str, tuple[int, int]]:
