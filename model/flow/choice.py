@@ -108,7 +108,7 @@ def explicit_forecast(problem: Problem, course: Course) -> Forecast:
     limit = step_limit(system)
     safety = min(problem.safety_factor, 1.0, step / limit)
     steps = last / (safety * limit) + lags
-    march = steps * (system.n * SECONDS_PER_UPDATE + 1e-7) + lags * (2e-5 + system.n * 4e-9)
+    march = steps * (system.n * SECONDS_PER_UPDATE + 1e-7) + lags * (1.4e-5 + system.n * 4e-9)
     start = START + system.n * 6e-7
     return Forecast(start + len(problem.active_sources) * march, safety)
 
