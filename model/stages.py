@@ -339,7 +339,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=8,
+        version=9,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
