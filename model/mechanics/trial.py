@@ -7,6 +7,8 @@ contacts give; `TrueTrial` gives the contacts by the law of the explicit solver.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from model.mechanics.backbone import load_carrying
@@ -21,7 +23,7 @@ from model.products import UnitLoads
 FAR = np.array([-np.inf, np.inf, -np.inf, np.inf])  # walls that nothing touches
 
 
-class Trial:
+class Trial(ABC):
     """Displaced grains; `bear` sets the forces of their contacts."""
 
     def __init__(self, grains: Grains, box: Array, kn: float, units: UnitLoads):
@@ -33,9 +35,9 @@ class Trial:
         self.share = [units.wall_share[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]
         self.sums: Sums
 
+    @abstractmethod
     def bear(self) -> Sums:
         """Set the forces of the contacts between the displaced grains; what they add up to."""
-        raise NotImplementedError
 
     def forces(self, u: Array, tilt: float, wanted: Array) -> tuple[Array, float]:
         """Unbalanced forces (3 n + 2,) after a displacement, and their ratio to the contacts'.
