@@ -20,7 +20,7 @@ from model.flow.system import System
 
 WIDTH = 4  # neighbours of a pore that its row holds; most pores of a packing have no more
 CHUNK = 4096  # pores that are advanced together, or more where neighbours lie further apart
-WAVE = 8  # steps that go through the chunks behind one another; even
+WAVE = 16  # steps that go through the chunks behind one another; even
 
 
 class Stencil(NamedTuple):
@@ -34,8 +34,8 @@ class Stencil(NamedTuple):
     start: np.ndarray  # (chunks + 1,) first place of each chunk
     near: np.ndarray  # (pores, WIDTH) uint32: places of the first neighbours, itself where none
     near_weight: np.ndarray  # (pores, WIDTH)
-    row: np.ndarray  # (m,) int32: further neighbours and wells, one entry each
-    column: np.ndarray  # (m,) int32
+    row: np.ndarray  # (m,) uint32: further neighbours and wells, one entry each
+    column: np.ndarray  # (m,) uint32
     weight: np.ndarray  # (m,)
     row_start: np.ndarray
     rim_unknown: np.ndarray  # (u,) unknowns beside a fixed pressure, wells included
@@ -95,8 +95,8 @@ def stencil(system: System, wells: Algebraic) -> Stencil:
         start=start,
         near=near,
         near_weight=near_weight,
-        row=row.astype(np.int32),
-        column=j[~first].astype(np.int32),
+        row=row.astype(np.uint32),
+        column=j[~first].astype(np.uint32),
         weight=weight[~first],
         row_start=np.searchsorted(row, start),
         rim_unknown=rim,
@@ -187,14 +187,15 @@ def _advance(p, q, integral, dt, s, driven, well_source, chunk):
     for k in range(s.rim_start[chunk], s.rim_start[chunk + 1]):
         integral[s.rim_unknown[k]] += dt * p[s.rim_place[k]]
     for k in range(s.start[chunk], s.start[chunk + 1]):
-        i = np.uint64(k)  # a signed index would be checked against zero, as would `near`'s
+        i = np.uint64(k)  # a signed index would be checked against zero, as would a list's
         x = p[i]
         left = s.near_weight[i, 0] * (p[s.near[i, 0]] - x)
         left += s.near_weight[i, 1] * (p[s.near[i, 1]] - x)
         right = s.near_weight[i, 2] * (p[s.near[i, 2]] - x)
         right += s.near_weight[i, 3] * (p[s.near[i, 3]] - x)
         q[i] = x + dt * (left + right)
-    for k in range(s.row_start[chunk], s.row_start[chunk + 1]):
+    for entry in range(s.row_start[chunk], s.row_start[chunk + 1]):
+        k = np.uint64(entry)
         i = s.row[k]
         q[i] += dt * s.weight[k] * (p[s.column[k]] - p[i])
     for k in range(driven.start[chunk], driven.start[chunk + 1]):
