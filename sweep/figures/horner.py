@@ -62,6 +62,7 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
             case["well_pressure"].sel(well=well).values[shut] * factor,
             color=shades("Blues", len(colours))[c],
             linestyle=LINE_STYLES[s],
+            linewidth=1.8 + 2.0 * (len(colours) - 1 - c),  # a skin alone leaves no trace: they meet
             label=named or well,
         )
         drawn += 1

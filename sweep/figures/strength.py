@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib.ticker import MaxNLocator
 
 from model.scene import MEASURED_BY_A_TEST
 from sweep.analysis.cases import axes, axis_title, display
@@ -38,7 +39,11 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
             panel.set_xticks([])
         words = name.replace("_", " ").replace("youngs", "Young's").replace("poissons", "Poisson's")
         panel.set_ylabel(f"{words} ({unit})" if unit else words)
-        panel.set_ylim(0.0, 1.06 * factor * float(np.nanmax(quantity.values)) or None)
+        highest = 1.06 * factor * float(np.nanmax(quantity.values))
+        if name.endswith("_count"):
+            panel.yaxis.set_major_locator(MaxNLocator(integer=True))
+            highest = max(highest, 1.0)
+        panel.set_ylim(0.0, highest or None)
     return save(figure, path, "What the tests to failure measured; lines are means over the cases")
 
 
