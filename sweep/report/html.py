@@ -17,10 +17,12 @@ def escape(text: object) -> str:
     return _escape(str(text), quote=True)
 
 
-def grid(columns: Sequence[str], rows: Iterable[Sequence[object]], caption: str = "") -> str:
-    """A table; numbers stand to the right."""
+def grid(
+    columns: Sequence[str], rows: Iterable[Sequence[object]], caption: str = "", digits: int = 4
+) -> str:
+    """A table; numbers stand to the right, with so many digits."""
     head = "".join(f"<th scope='col'>{escape(name)}</th>" for name in columns)
-    body = "".join(f"<tr>{''.join(_cell(value) for value in row)}</tr>\n" for row in rows)
+    body = "".join(f"<tr>{''.join(_cell(value, digits) for value in row)}</tr>\n" for row in rows)
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     return (
         f"<div class='wide'><table>{title}<thead><tr>{head}</tr></thead>\n"
@@ -28,10 +30,10 @@ def grid(columns: Sequence[str], rows: Iterable[Sequence[object]], caption: str 
     )
 
 
-def _cell(value: object) -> str:
+def _cell(value: object, digits: int) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"<td>{escape(value)}</td>"
-    text = "–" if value != value else plain_number(float(value))
+    text = "–" if value != value else plain_number(float(value), digits)
     return f"<td class='number'>{escape(text)}</td>"
 
 

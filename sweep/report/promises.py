@@ -54,11 +54,11 @@ def promises(dataset: xr.Dataset, study: Study) -> str:
         asked = "the usual" if told and in_words(expected) == usual else in_words(expected)
         rows.append((title, asked, came_out, "yes" if good else "NO", *values))
     head = ("case", "expected", "came out", "as expected", *(_NUMBERS[name] for name in columns))
-    table = grid(head, rows)
+    table = grid(head, rows, digits=2)
     if len(rows) > MANY:
         bad = [row for row in rows if row[3] == "NO"]
         table = f"<details><summary>all cases</summary>{table}</details>"
-        table = (grid(head, bad) if bad else "") + table
+        table = (grid(head, bad, digits=2) if bad else "") + table
     return (
         "<section><h2>Expected and found</h2>\n"
         f"<p>{met} of {len(rows)} cases came out as the study says that they should.{told}</p>\n"

@@ -26,6 +26,7 @@ from sweep.report.html import data_uri, escape, grid
 from sweep.study import Study
 
 MOST_FAILURES = 50  # listed one by one
+MANY_FAILURES = 12  # more are folded
 MOST_VALUES = 12  # of an axis, listed one by one
 
 # what a reader should see first of how far to trust the numbers: the worst over all cases
@@ -75,7 +76,12 @@ def outcome(dataset: xr.Dataset) -> str:
             )
         more = len(failures) - len(listed)
         caption = "Cases without a result" + (f" ({more} more are not listed)" if more else "")
-        text += grid(("case", "outcome", "why, and what to try"), listed, caption)
+        head = ("case", "outcome", "why, and what to try")
+        if len(listed) > MANY_FAILURES:
+            table = grid(head, listed)
+            text += f"<details><summary>{caption}</summary>{table}</details>"
+        else:
+            text += grid(head, listed, caption)
     return text
 
 
