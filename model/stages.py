@@ -264,7 +264,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="model.mechanics.stress:load",
-        version=6,
+        version=7,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

@@ -149,7 +149,7 @@ def advance_cell(
         ratio = unbalanced / max(mean, 1e-300)
     run = Run(
         fire, run.step + taken, last, stretch_x, stretch_y, since_x, since_y, 0.0, 0.0, 1.0,
-        ratio, error,
+        0.0, 0.0, ratio, error,
     )  # fmt: skip
     return end, taken, run, sums
 
@@ -183,7 +183,7 @@ class Cell:
         self.images = Images(none, none, none)
         self.pairs = no_pairs(len(self.grains.x))
         fire = Fire(self.dt, START_MIXING, 0)
-        self.run = Run(fire, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, np.inf, np.inf)
+        self.run = Run(fire, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf, np.inf)
         self._list_pairs()
 
     @property

@@ -31,6 +31,7 @@ from model.mechanics.motion import (
 )
 from model.mechanics.neighbours import Pairs, find_pairs, largest_displacement, no_pairs
 from model.mechanics.servo import (
+    LEAD,
     STANDING,
     Servo,
     advanced,
@@ -59,6 +60,10 @@ class Stop(NamedTuple):
     strain: float = np.inf  # of the box since the run began, in x or y, at which to give up
 
 
+START = Stop(ratio=1e-4, stress=1e-4)  # of a path
+START_STEPS = 300  # at most, to come to rest there
+
+
 class Run(NamedTuple):
     """Where `advance` stands; handed from call to call."""
 
@@ -72,6 +77,8 @@ class Run(NamedTuple):
     strain_x: float  # strain since the run began
     strain_y: float
     progress: float  # fraction of the stress path
+    lead_x: float  # mean strains of its steps, with which it goes on
+    lead_y: float
     ratio: float  # mean unbalanced over mean contact force, when the run ended
     error: float  # relative error of the stresses
 
@@ -105,7 +112,8 @@ def advance(
     """
     fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
     since_x, since_y, strain_x, strain_y = run.since_x, run.since_y, run.strain_x, run.strain_y
-    progress, ratio, error = run.progress, run.ratio, run.error
+    progress, lead_x, lead_y = run.progress, run.lead_x, run.lead_y
+    ratio, error = run.ratio, run.error
     taken = 0
     while True:
         sums = contact_forces(
@@ -122,14 +130,14 @@ def advance(
             if oscillates(servo, swings, sums, box, wanted_xx, wanted_yy):
                 end = OSCILLATES
                 break
+        mean = sums.force / max(sums.contacts, 1)
         if progress < 1.0:
             if error < servo.band:
-                progress = min(1.0, progress + advanced(servo, wanted_xx, wanted_yy))
-        elif error <= stop.stress:
-            mean = sums.force / max(sums.contacts, 1)
-            if sums.unbalanced <= stop.ratio * mean or mean < stop.force:
-                end = AT_REST
-                break
+                off = sums.unbalanced / max(mean, 1e-300)
+                progress = min(1.0, progress + advanced(servo, wanted_xx, wanted_yy, off))
+        elif error <= stop.stress and (sums.unbalanced <= stop.ratio * mean or mean < stop.force):
+            end = AT_REST
+            break
         if max(abs(strain_x), abs(strain_y)) > stop.strain:
             end = STRAINED
             break
@@ -138,7 +146,11 @@ def advance(
             break
         before = (box[0], box[1], box[2], box[3])
         if servo.gain > 0.0:
-            stretch_x, stretch_y = stretches(servo, sums, box, wanted_xx, wanted_yy)
+            if progress == 1.0:
+                lead_x = lead_y = 0.0
+            stretch_x, stretch_y = stretches(servo, sums, box, wanted_xx, wanted_yy, lead_x, lead_y)
+            lead_x += LEAD * (stretch_x - lead_x)
+            lead_y += LEAD * (stretch_y - lead_y)
             move_walls(servo, sums, box, law.kn, wanted_xx, wanted_yy, stretch_x, stretch_y)
         if damping < 0.0:
             fire = fire_velocities(grains, fire, dt)
@@ -165,7 +177,7 @@ def advance(
         ratio = sums.unbalanced * sums.contacts / max(sums.force, 1e-300)
     run = Run(
         fire, run.step + taken, last, stretch_x, stretch_y, since_x, since_y, strain_x, strain_y,
-        progress, ratio, error,
+        progress, lead_x, lead_y, ratio, error,
     )  # fmt: skip
     return end, taken, run, sums
 
@@ -204,7 +216,7 @@ class Specimen:
         self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, no_joints())
         self.first_box = self.box.copy()
         fire = Fire(self.dt, START_MIXING, 0)
-        self.run = Run(fire, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, np.inf, np.inf)
+        self.run = Run(fire, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, np.inf, np.inf)
 
     @property
     def idle_traces(self) -> int:
@@ -212,7 +224,7 @@ class Specimen:
         return int(np.count_nonzero(~self._traces.found))
 
     def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
-        """Follow the servo's path until at rest.
+        """Follow the servo's path until at rest; one that is paced starts from rest, by FIRE.
 
         Returns AT_REST, OUT_OF_STEPS, STRAINED, or OSCILLATES where the servo overshoots for ever.
 
@@ -220,9 +232,17 @@ class Specimen:
         """
         if self.ledger is not None and damping < 0.0:
             raise ValueError("an energy ledger needs local damping, FIRE takes energy in leaps")
+        if servo.gain > 0.0 and servo.pace < np.inf:
+            steps -= self._come_to_rest_at_the_start(servo, damping, steps)
         start = 0.0 if servo.gain > 0.0 else 1.0
         self.run = self.run._replace(
-            strain_x=0.0, strain_y=0.0, progress=start, ratio=np.inf, error=np.inf
+            strain_x=0.0,
+            strain_y=0.0,
+            progress=start,
+            lead_x=0.0,
+            lead_y=0.0,
+            ratio=np.inf,
+            error=np.inf,
         )
         reach = float(self.grains.radius.max()) + self.skin
         slack = self._slack(reach)
@@ -240,6 +260,16 @@ class Specimen:
             if slack < 0.1 * self.skin:
                 self._list_pairs()
                 slack = 0.5 * self.skin
+
+    def _come_to_rest_at_the_start(self, servo: Servo, damping: float, steps: int) -> int:
+        """Steps taken; what is left is led away by the path. A ledger rules out FIRE."""
+        first = self.steps
+        hold = servo._replace(target_xx=servo.start_xx, target_yy=servo.start_yy, pace=np.inf)
+        how = FIRE if self.ledger is None else damping
+        self.relax(hold, START, damping=how, steps=min(START_STEPS, steps))
+        if self.ledger is None:
+            self.stand_still()
+        return self.steps - first
 
     def stand_still(self) -> None:
         """Take all motion away."""

@@ -25,7 +25,7 @@ class Servo(NamedTuple):
     target_yy: float
     pace: float = np.inf  # part of the path covered by one step, over √(smaller stress)
     band: float = np.inf  # relative lag of the stresses behind the path at which it waits
-    ease: float = np.inf  # |xx − yy| / (xx + yy) at which it is followed at half the pace
+    calm: float = np.inf  # mean unbalanced over mean contact force at which it goes half as fast
     gain: float = 0.05  # part of the error in the mean stress that one step corrects; 0: no servo
     wall_gain: float = 0.3  # part of the error in each wall's force that one step corrects
     modulus: float = 0.5  # stress per strain that the gain assumes, in units of k_n
@@ -42,6 +42,8 @@ TOO_STIFF = (  # why a servo oscillates, and what to try
     "theirs"
 )
 
+LEAD = 5e-3  # weight of a step in the mean strain of the steps before, with which a path goes on
+
 STANDING = Servo(1.0, 1.0, 1.0, 1.0, gain=0.0)  # a box that does not move
 
 
@@ -55,10 +57,12 @@ def setpoint(servo: Servo, progress: float) -> tuple[float, float]:
 
 
 @kernel
-def advanced(servo: Servo, wanted_xx: float, wanted_yy: float) -> float:
-    """Part of the path that one step covers at these stresses: less, the nearer to strength."""
-    shear = abs(wanted_xx - wanted_yy) / (wanted_xx + wanted_yy)
-    return servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + shear / servo.ease)
+def advanced(servo: Servo, wanted_xx: float, wanted_yy: float, ratio: float) -> float:
+    """Part of the path that one step covers: less, the further from equilibrium.
+
+    `ratio` is the mean unbalanced over the mean contact force.
+    """
+    return servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + ratio / servo.calm)
 
 
 @kernel
@@ -80,20 +84,27 @@ def mean_stresses(sums: Sums, box: Array) -> tuple[float, float]:
 
 @kernel
 def stretches(
-    servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float
+    servo: Servo,
+    sums: Sums,
+    box: Array,
+    wanted_xx: float,
+    wanted_yy: float,
+    lead_x: float = 0.0,
+    lead_y: float = 0.0,
 ) -> tuple[float, float]:
-    """Strains of one step in x and y, extension positive: clip[g (σ − σ_wanted) / M].
+    """Strains of one step in x and y, extension positive: clip[ε_lead + g (σ − σ_wanted) / M].
 
     σ is the mean stress by the actual branch vectors; r_a + r_b instead would set the stretch
-    against the walls.
+    against the walls. ε_lead, the mean strain of the steps before, lets the stresses follow a
+    path without lagging behind in proportion to 1 / g.
     """
     mean_xx, mean_yy = mean_stresses(sums, box)
     factor = servo.gain / servo.modulus
     stretch_x, stretch_y = servo.drive_x, servo.drive_y
     if np.isnan(stretch_x):
-        stretch_x = clip(factor * (mean_xx - wanted_xx), servo.limit)
+        stretch_x = clip(lead_x + factor * (mean_xx - wanted_xx), servo.limit)
     if np.isnan(stretch_y):
-        stretch_y = clip(factor * (mean_yy - wanted_yy), servo.limit)
+        stretch_y = clip(lead_y + factor * (mean_yy - wanted_yy), servo.limit)
     return stretch_x, stretch_y
 
 
