@@ -8,6 +8,7 @@ messages, and gives editors their schema, so that a bound is written once.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import MISSING, Field, field, fields
 from numbers import Real
 from typing import Any
@@ -30,6 +31,7 @@ def parameter(
     below: float | None = None,
     at_most: float | None = None,
     choices: tuple[str, ...] | None = None,
+    reason: str = "",
     key: str | None = None,
     help: str,
 ) -> Any:
@@ -41,6 +43,7 @@ def parameter(
     default : value if none is given; without it the parameter is required.
     above, at_least, below, at_most : bounds, exclusive and inclusive.
     choices : the words that are allowed, for a parameter that is a word.
+    reason : why the bounds are what they are, where that is no matter of course.
     key : the name in a study file where it differs from the field's (a Python keyword).
     help : one line for a user.
     """
@@ -51,6 +54,7 @@ def parameter(
         "below": below,
         "at_most": at_most,
         "choices": choices,
+        "reason": reason,
         "key": key,
         "help": help,
     }
@@ -76,9 +80,15 @@ def bound_problem(declared: Field, value: Any) -> str | None:
         return next((what for what in problems if what is not None), None)
     if isinstance(value, bool | str) or not isinstance(value, Real):
         return None
-    unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
     if not math.isfinite(value):
         return f"{value} is not a finite number"
+    what = _beyond(meta, value)
+    return f"{what}; {meta['reason']}" if what and meta["reason"] else what
+
+
+def _beyond(meta: Mapping[str, Any], value: Any) -> str | None:
+    """The bound that a number breaks, or None."""
+    unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
     if meta["above"] is not None and not value > meta["above"]:
         return f"{value:g}{unit} is not above {meta['above']:g}{unit}"
     if meta["at_least"] is not None and not value >= meta["at_least"]:

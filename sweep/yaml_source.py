@@ -174,13 +174,24 @@ def _compose(path: Path, text: str, problems: list[Problem]) -> Node | None:
         mark = error.problem_mark or error.context_mark
         place = Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1)
         words = [str(part) for part in (error.problem, error.context) if part]
-        raise _refusal(path, "bad YAML: " + ", ".join(words), place) from None
+        said = ", ".join(words)
+        hints = [hint for mark, hint in _HINTS.items() if mark in said]
+        raise _refusal(path, "; ".join(["bad YAML: " + said, *hints[:1]]), place) from None
     except YAMLError as error:
         at = getattr(error, "position", 0)
         before = text[: at if isinstance(at, int) else 0]
         place = Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
         raise _refusal(path, f"bad YAML: {str(error).splitlines()[0]}", place) from None
     return root
+
+
+_HINTS = {  # to the parser's words
+    "'\\t'": "indent with spaces, not with tabs",
+    "block end": "check the indentation here and above: keys of one level begin in one column",
+    "mapping values are not allowed": "check the indentation, or quote a text that holds ': '",
+    "',' or '}'": "a ',' or the closing '}' is missing",
+    "',' or ']'": "a ',' or the closing ']' is missing",
+}
 
 
 class _TooDeep(Exception):

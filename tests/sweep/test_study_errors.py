@@ -34,7 +34,7 @@ MISTAKES = [
     ("xx: 20 MPa", "xx: 5 kg", "5 kg", "5 kg is a mass; stress.xx is a pressure, for instance 10 MPa"),
     ("xx: 20 MPa", "xx: 5 mpa", "5 mpa", "unknown unit 'mpa' (did you mean 'MPa'?) in '5 mpa'; stress.xx is a pressure"),
     ("viscosity: 1 cP", "viscosity: -1 cP", "-1 cP", "fluid.viscosity: -0.001 Pa s is not above 0 Pa s"),
-    ("porosity: 0.17", "porosity: 0.5", "0.5", "grains.porosity: 0.5 is above 0.22"),
+    ("porosity: 0.17", "porosity: 0.5", "0.5", "grains.porosity: 0.5 is above 0.22; discs at rest that touch reach no other"),
     ("porosity: 0.17", "porosity: .inf", ".inf", "not a finite number"),
     ("count: 500", "count: 1.5", "1.5", "1.5 is not a whole number"),
     ("count: 500", "count: 1e30", "1e30", "1e30 is too large for grains.count"),
@@ -289,7 +289,12 @@ def test_problems_name_file_line_and_column(tmp_path):
         (b"- 1\n", "1:1: a study is a mapping of keys to values, not a list"),
         (b"hello", "1:1: a study is a mapping of keys to values, not a single word"),
         (b"a: [1, 2\nb: 3", "2:2: bad YAML"),
-        (b"a: b: c", "1:5: bad YAML: mapping values are not allowed here"),
+        (b"a: b: c", "1:5: bad YAML: mapping values are not allowed here; check the indentation"),
+        (
+            b"a:\n  b: 1\n c: 2",
+            "3:2: bad YAML: expected <block end>, but found '<block mapping start>', while "
+            "parsing a block mapping; check the indentation",
+        ),
         (b"a: 1\n\tb: 2", "2:1: bad YAML"),
         (b"a: 1\nb: \x00", "2:4: bad YAML"),
         (b"a: 1\nbc: \xff", "2:5: the file is not UTF-8 text"),
