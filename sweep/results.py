@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,8 @@ from sweep.errors import ResultsError
 from sweep.plan import make_plan
 from sweep.prepared import DATASET_FILE, STUDY_FILE
 from sweep.stages import MODEL, case_maps, stage_table
-from sweep.store import MissingError, Store
-from sweep.study import Study, load_study
+from sweep.store import DamagedError, MissingError, Store, StoreError
+from sweep.study import Study, StudyError, load_study
 from sweep.versions import installed
 from sweep.worker import build
 
@@ -34,11 +35,18 @@ def open_results(folder: str | Path) -> xr.Dataset:
     """
     path = Path(folder)
     path = path / DATASET_FILE if path.is_dir() or path.suffix != ".nc" else path
+    with _opened(path) as dataset:
+        return _without_fill_values(dataset.load())
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[xr.Dataset]:
+    """The dataset at a path. Raises ResultsError where it is not there or cannot be read."""
     if not path.is_file():
         raise ResultsError(f"{path} does not exist; `demflow run` writes it")
     try:
         with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
-            return _without_fill_values(dataset.load())
+            yield dataset
     except OSError as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error
 
@@ -60,7 +68,7 @@ def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
     a map has that name (`aperture`).
 
     Raises ResultsError where an axis is left open, a value is none of the axis's, or the
-    case is not there.
+    case is not there or not whole. Nothing is written, but a damaged file is set aside.
     """
     return case_of(Path(folder), at)
 
@@ -69,11 +77,14 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
     """Do what `open_case` does, with any table of stages."""
     if not (folder / STUDY_FILE).is_file():
         raise ResultsError(f"{folder} holds no results: there is no {STUDY_FILE} in it")
-    study = load_study(folder / STUDY_FILE, smoke=_smoke(folder))
+    try:
+        study = load_study(folder / STUDY_FILE, smoke=_smoke(folder))
+        store = Store.open(folder.resolve().parent / "store", create=False)
+    except (StudyError, StoreError) as error:
+        raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
     index = _index(study, at)
     scene = case_at(study, index).scene
     plan = make_plan([scene], stage_table(table))
-    store = Store.open(folder.resolve().parent / "store")
     products: dict[str, Any] = {}
     for run in plan.runs:
         stage = plan.stages[run.stage]
@@ -83,11 +94,14 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
             failure = store.failure(run.id)
             why = failure["message"] if failure else "it was not run; `demflow run` computes it"
             raise ResultsError(f"the case has no {stage.name}: {why}") from None
+        except (DamagedError, OSError) as error:
+            why = f"{error}; `demflow run` computes what is damaged again"
+            raise ResultsError(f"the case's {stage.name} cannot be read: {why}") from error
     return _dataset(study, scene, case_maps(scene, products), index)
 
 
 def _smoke(folder: Path) -> bool:
-    with xr.open_dataset(folder / DATASET_FILE, engine="netcdf4", decode_times=False) as dataset:
+    with _opened(folder / DATASET_FILE) as dataset:
         return dataset.attrs.get("study_smoke") == "yes"
 
 

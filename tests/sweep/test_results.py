@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import shutil
+
 import numpy as np
 import pytest
 
@@ -118,6 +121,30 @@ def test_folders_without_results_are_explained(tmp_path):
     (tmp_path / "dataset.nc").write_bytes(b"no netCDF")
     with pytest.raises(ResultsError, match="cannot be read"):
         sweep.open_results(tmp_path)
+
+
+def test_opening_a_case_writes_nothing_and_names_what_is_not_whole(folder, maps, tmp_path):
+    case = {"stress_yy": 5e6, "rate": 1, "aperture": 0.25}
+    root = shutil.copytree(folder.parent, tmp_path / "results")
+    copy = root / folder.name
+    for product in (root / "store").glob("*/*.product"):
+        os.truncate(product, product.stat().st_size - 1)
+    with pytest.raises(ResultsError, match="pack cannot be read: .*`demflow run` computes"):
+        open_toy(copy, **case)
+    shutil.rmtree(root / "store")
+    with pytest.raises(ResultsError, match="no pack: it was not run; `demflow run`"):
+        open_toy(copy, **case)
+    assert not (root / "store").exists()
+    (root / "store").mkdir()
+    (root / "store" / "diary.txt").touch()
+    with pytest.raises(ResultsError, match="holds no store of demflow"):
+        open_toy(copy, **case)
+    (copy / "study.yaml").write_text("study: [")
+    with pytest.raises(ResultsError, match="bad YAML"):
+        open_toy(copy, **case)
+    (copy / "dataset.nc").unlink()
+    with pytest.raises(ResultsError, match="dataset.nc does not exist; `demflow run` writes it"):
+        open_toy(copy, **case)
 
 
 def test_the_dataset_can_be_saved_again_as_cf_asks(folder, tmp_path):
