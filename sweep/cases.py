@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -35,26 +35,11 @@ class Coordinate(NamedTuple):
     long_name: str
 
 
-def shape(study: Study) -> tuple[int, ...]:
-    """Number of values of each axis; () for a study of one case."""
-    return study.shape
-
-
-def cases(study: Study) -> Iterator[Case]:
-    """Every case, the last axis running fastest.
-
-    Blocks of equal content are one object across cases. Raises SceneError at a case that cannot
-    be (only in studies with too many combinations to check them all beforehand).
-    """
-    builder = SceneBuilder(study.values, study.axes)
-    for index in itertools.product(*map(range, study.shape)):
-        yield Case(index, builder.scene(index))
-
-
 def case_at(study: Study, index: Sequence[int]) -> Case:
     """The case at a position along each axis.
 
-    Raises IndexError where the index does not fit the axes, SceneError as `cases` does.
+    Raises IndexError where the index does not fit the axes, SceneError at a case that cannot be
+    (only in studies with too many combinations to check them all beforehand).
     """
     at = tuple(index)
     if len(at) != len(study.axes) or not all(

@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 from sweep.yaml_source import StudyError
@@ -41,16 +41,14 @@ def run(options: argparse.Namespace) -> int:
         )
     finally:
         line.close()
-    for message in finished.damaged:
-        say(f"damaged, computed again: {message}")
-    for message in finished.executed.refused if finished.executed else ():
-        say(f"not used: {message}")
+    for message in finished.messages():
+        say(message)
     say(_summary(finished))
-    if finished.changed:
-        kept = finished.folder / "study.yaml"
-        say(f"{options.study} has changed meanwhile; the results are those of {kept}")
     if finished.failed:
-        say(f"why: demflow status {options.study}{_where(options)}")
+        say(
+            f"why: demflow status {options.study}{_where(options)}; "
+            "`--retry-failed` tries failed cases again"
+        )
     _tell_places(finished, options)
     return SOME_FAILED if finished.failed else GOOD
 
@@ -108,9 +106,12 @@ def plan(options: argparse.Namespace) -> int:
         print("  ".join((name.ljust(widths[0]), *numbers)))
     for name, unit in (("seconds", duration), ("bytes", size), ("memory", size)):
         label = {"seconds": "time", "bytes": "disk"}.get(name, name)
-        print(f"expected {label}: {_known(told[name], unit)}")
-    if None in (told["seconds"], told["memory"]):
-        print("?: not known before the stages have run in this results folder")
+        more = "" if told[name] is not None else "at least "
+        print(f"expected {label}: {more}{unit(told['at_least'][name])}")
+    if told["unknown"]:
+        print(f"?: never run on this machine: {', '.join(told['unknown'])}")
+    time, memory = told["limits"]["time"], told["limits"]["memory"]
+    print(f"limits of a case: {duration(time)}, {size(memory)} (the study's limits, or by default)")
     return GOOD
 
 
@@ -124,6 +125,7 @@ def status(options: argparse.Namespace) -> int:
     count = {s: sum(v.status is s for v in verdicts) for s in Status}
     missing, done = count[Status.NOT_RUN], count[Status.DONE]
     failed = len(verdicts) - missing - done
+    again = prepared.tried_again(verdicts)
     bad = [
         (case, v)
         for case, v in enumerate(verdicts)
@@ -131,7 +133,12 @@ def status(options: argparse.Namespace) -> int:
     ]
     if options.json:
         cases = [
-            {**_at(prepared, case), "status": v.status.name.lower(), "message": v.message}
+            {
+                **_at(prepared, case),
+                "status": v.status.name.lower(),
+                "message": v.message,
+                "tried_again": bool(again[case]),
+            }
             for case, v in bad
         ]
         told = {"study": prepared.study.name, "cases": len(verdicts), "done": done}
@@ -142,8 +149,19 @@ def status(options: argparse.Namespace) -> int:
             print(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:
             print(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
+        others = len(bad) - int(again.sum()) - len(prepared.plan.impossible)
+        for message in _what_next(int(again.sum()), others):
+            say(message)
     good = as_expected(prepared, verdicts) | [v.status is Status.NOT_RUN for v in verdicts]
     return GOOD if good.all() else SOME_FAILED
+
+
+def _what_next(again: int, others: int) -> Iterator[str]:
+    """What becomes of cases that failed."""
+    if again:
+        yield f"{again} of them: tried again by the next run, which has more time or memory"
+    if others:
+        yield f"`demflow run --retry-failed` tries {'all' if again else 'them'} again"
 
 
 def report(options: argparse.Namespace) -> int:

@@ -2,13 +2,16 @@
 
 A run costs what runs of its kind did: the same stage and version, the same solver, a scene of
 about the same size. Where none of that size was seen, the nearest size is scaled by a power law
-fitted to those that were. Kept beside the store, in a file that may be lost without harm.
+fitted to those that were. Kept beside the store, and in the user's cache folder for the results
+folders to come, in files that may be lost without harm.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -33,16 +36,23 @@ class Spent(NamedTuple):
     slowest: float = 0.0  # s
     stored: int = 0  # bytes
     memory: int = 0  # largest resident memory of a worker after such a run, bytes
+    bound: int = 0  # the same of workers that had compiled too, whose compiler counts, bytes
 
-    def and_one(self, seconds: float, stored: int, memory: int) -> Spent:
+    def and_one(self, seconds: float, stored: int, memory: int, compiled: bool) -> Spent:
         """With one more run."""
         return Spent(
             self.runs + 1,
             self.seconds + seconds,
             max(self.slowest, seconds),
             self.stored + stored,
-            max(self.memory, memory),
+            max(self.memory, 0 if compiled else memory),
+            max(self.bound, memory),
         )
+
+    @property
+    def peak(self) -> int:
+        """Memory of a worker, bytes: no more than that where all of them had compiled."""
+        return self.memory or self.bound
 
     @property
     def typical(self) -> float:
@@ -58,35 +68,62 @@ class Costs:
     def __init__(self) -> None:
         self.known: dict[str, dict[int, Spent]] = {}  # by key, then by step of the size
         self.start: float | None = None  # s until the workers of a run stood, the last time
+        self.main: int = 0  # memory of the process that leads a run, bytes: the least one seen
 
     @classmethod
-    def read(cls, store: Store) -> Costs:
+    def read(cls, store: Store, *, everywhere: bool = False) -> Costs:
         """Return what earlier runs measured, nothing where that cannot be read.
 
-        What another kind of machine took says nothing about this one.
+        What another kind of machine took says nothing about this one. What runs with other
+        results folders measured here counts where it is asked for, and this one knows nothing.
         """
         costs = cls()
-        try:
-            told: dict[str, Any] = json.loads(_file(store).read_text())
-            if told["machine"] == machine():
-                costs.known = {
-                    key: {int(step): Spent(*entry) for step, entry in sizes.items()}
-                    for key, sizes in told["stages"].items()
-                }
-                costs.start = told.get("start")
-        except (OSError, ValueError, TypeError, AttributeError, KeyError):
-            pass
+        for file in (machine_file(), _file(store)) if everywhere else (_file(store),):
+            costs._take(file)
         return costs
 
-    def write(self, store: Store) -> None:
-        """Keep the totals for the next run."""
-        told = {"machine": machine(), "start": self.start, "stages": self.known}
-        write_durably(_file(store), json.dumps(told, indent=1).encode())
+    def _take(self, file: Path) -> None:
+        """Let what a file tells stand before what is known."""
+        try:
+            told: dict[str, Any] = json.loads(file.read_text())
+            if told["machine"] != machine():
+                return
+            known = {
+                key: {int(step): Spent(*entry) for step, entry in sizes.items()}
+                for key, sizes in told["stages"].items()
+            }
+            start, main = told.get("start"), int(told.get("main", 0))
+        except (OSError, ValueError, TypeError, AttributeError, KeyError):
+            return
+        for key, sizes in known.items():
+            self.known[key] = self.known.get(key, {}) | sizes
+        self.start = self.start if start is None else start
+        self.main = main or self.main
 
-    def add(self, kind: Kind, seconds: float, stored: int, memory: int = 0) -> None:
-        """Count one more run."""
+    def write(self, store: Store, *, everywhere: bool = False) -> None:
+        """Keep the totals for the next run; raises OSError where the store cannot be written."""
+        told = {"machine": machine(), "start": self.start, "main": self.main, "stages": self.known}
+        write_durably(_file(store), json.dumps(told, indent=1).encode())
+        if everywhere:
+            with suppress(OSError):
+                others = Costs()
+                others._take(machine_file())
+                told["stages"] = {
+                    key: others.known.get(key, {}) | self.known.get(key, {})
+                    for key in others.known | self.known
+                }
+                write_durably(machine_file(), json.dumps(told, indent=1).encode())
+
+    def add(
+        self, kind: Kind, seconds: float, stored: int, memory: int = 0, compiled: bool = False
+    ) -> None:
+        """Count one more run; whether its worker had compiled kernels before."""
         sizes = self.known.setdefault(kind.key, {})
-        sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(seconds, stored, memory)
+        sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(seconds, stored, memory, compiled)
+
+    def led(self, memory: int) -> None:
+        """Note the memory of a process that led a run, bytes."""
+        self.main = min(self.main or memory, memory)
 
     def seconds(self, kind: Kind) -> float | None:
         """Expected seconds of a run, None if its stage was never run."""
@@ -104,10 +141,10 @@ class Costs:
         What a process holds before it does anything does not grow with the case: as much as
         the smallest that was seen.
         """
-        peaks = {step: spent.memory for step, spent in self._sizes(kind).items() if spent.memory}
+        peaks = {step: spent.peak for step, spent in self._sizes(kind).items() if spent.peak}
         if not peaks:
             return None
-        least = min(s.memory for sizes in self.known.values() for s in sizes.values() if s.memory)
+        least = min(s.peak for sizes in self.known.values() for s in sizes.values() if s.peak)
         near = _nearest(peaks, kind.step)
         growth = math.exp(SIZE_STEP * (kind.step - near))
         return least + (peaks[near] - least) * growth
@@ -152,6 +189,12 @@ def exponent(values: dict[int, float], seen: dict[int, Spent]) -> float:
 
 def _nearest(values: dict[int, Any], step: int) -> int:
     return min(values, key=lambda near: (abs(near - step), near))
+
+
+def machine_file() -> Path:
+    """Where the costs of all results folders are kept for one user of this machine."""
+    home = os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache"
+    return Path(home) / "demflow" / "costs.json"
 
 
 def _file(store: Store) -> Path:

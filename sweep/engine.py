@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import itertools
 import multiprocessing
+import re
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
@@ -13,12 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweep.cost import Costs
 from sweep.durable import naming, write_durably
 from sweep.errors import ResultsError
 from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
 from sweep.heritage import inherited, note
+from sweep.limits import in_force
 from sweep.lock import FolderLock
+from sweep.memory import peak_memory
 from sweep.prepared import DATASET_FILE, STUDY_FILE, Prepared, prepare
 from sweep.progress import Progress
 from sweep.schedule import Schedule
@@ -33,6 +36,8 @@ if TYPE_CHECKING:
 
 REPORT_FILE = "report.html"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
+MARKS = {f"{DATASET_FILE}.sha256", UNFINISHED_FILE}  # nobody else has files of these names
+OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, "figures"} | MARKS
 COLLECTOR = 2  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
@@ -51,6 +56,16 @@ class Finished:
     report: Path | None = None
     damaged: list[str] = field(default_factory=list)
     changed: bool = False  # whether the study file is no longer the one that was run
+
+    def messages(self) -> Iterator[str]:
+        """What whoever ran it should know beside its results."""
+        for message in self.damaged:
+            yield f"damaged, computed again: {message}"
+        for message in self.executed.refused if self.executed else ():
+            yield f"not used: {message}"
+        if self.changed:
+            kept = self.folder / STUDY_FILE
+            yield f"the study file has changed meanwhile; the results are those of {kept}"
 
 
 def run_study(
@@ -104,9 +119,9 @@ def run_study(
             _check_own(prepared)
             _remove_partial(prepared)
             _keep(prepared, UNFINISHED_FILE)
-            if tell and (message := inherited(prepared.store, prepared.plan.stages)):
+            if tell and (message := inherited(prepared.store, prepared.plan)):
                 tell(message)
-            note(prepared.store, prepared.plan.stages)
+            note(prepared.store, prepared.study, prepared.plan)
         held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
         executed, damaged = None, []
         for _ in range(ROUNDS):
@@ -150,6 +165,9 @@ def run(
 
     Takes and raises what `run_study` does. In a script, call it below
     `if __name__ == "__main__":`, since workers are new processes that import the script.
+
+    Warns with a `RunWarning` of cases that did not end as the study expects, and of what the
+    command line tells beside its results.
     """
     from sweep.results import open_results
 
@@ -162,8 +180,21 @@ def run(
         force=force,
         smoke=smoke,
         progress=progress,
+        tell=lambda message: warnings.warn(message, RunWarning, stacklevel=4),
     )
+    for message in finished.messages():
+        warnings.warn(message, RunWarning, stacklevel=2)
+    if finished.failed:
+        message = (
+            f"{finished.failed} of {finished.cases} cases failed; `status` and `message` in the "
+            "dataset say why, and retry_failed=True tries them again"
+        )
+        warnings.warn(message, RunWarning, stacklevel=2)
     return open_results(finished.folder)
+
+
+class RunWarning(UserWarning):
+    """What should be known of a run that has done what it could."""
 
 
 def draw_study(
@@ -245,10 +276,12 @@ def _execute(
     stored = prepared.stored()
     if force:
         stored[:] = False
-    failed = prepared.failed(stored)
+    limits = in_force(prepared.study.limits, None if scheduler else workers)
+    failed = prepared.failed(stored, limits)
     if retry_failed or force:
         failed[:] = False
-    costs = Costs.read(store)
+    costs = prepared.costs()
+    start = costs.start
     schedule = Schedule(plan, stored, failed, costs)
     if not schedule.pending:
         return None
@@ -263,13 +296,16 @@ def _execute(
             table=table,
             workers=workers,
             scheduler=scheduler,
-            limits=prepared.study.limits,
+            limits=limits,
             progress=progress,
             anew=force,
         )
     finally:
+        if scheduler:
+            costs.start = start  # of workers of this machine
+        costs.led(peak_memory())
         with suppress(OSError):
-            costs.write(store)
+            prepared.keep(costs)
 
 
 @contextmanager
@@ -285,15 +321,30 @@ def _nothing_run_yet(prepared: Prepared) -> Iterator[None]:
 def _check_own(prepared: Prepared) -> None:
     """Raise StoreError where the folder of a study's results is used for something else."""
     folder = prepared.folder
-    names = {path.name for path in folder.iterdir() if path.suffix != ".partial"}
-    own = {DATASET_FILE, REPORT_FILE, UNFINISHED_FILE, "figures"}
-    if names == {STUDY_FILE} and (folder / STUDY_FILE).read_bytes() == prepared.study.text.encode():
+    names = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+    if names & MARKS:
         return
-    if names and not any(name.startswith(tuple(own)) for name in names):
+    strange = sorted(name for name in names if not _own(name))
+    if STUDY_FILE in names and not _names(folder / STUDY_FILE, prepared.study.name):
+        strange.append(STUDY_FILE)
+    if strange:
         raise StoreError(
-            f"{folder} holds files that are no results of demflow; "
+            f"{folder} holds files that are no results of demflow ({', '.join(strange[:3])}); "
             "rename the study, or take another --results folder"
         )
+
+
+def _own(name: str) -> bool:
+    """Whether a file of this name in a study's folder is one that runs make there."""
+    whole = re.fullmatch(r"(.+?)(\.\d+)?\.partial|(.+?)\.damaged|(.+)", name)
+    assert whole is not None
+    return next(part for part in whole.group(1, 3, 4) if part) in OWN
+
+
+def _names(path: Path, study: str) -> bool:
+    """Whether a file is a study of that name, of whatever version."""
+    text = path.read_text(encoding="utf-8", errors="replace")
+    return re.search(rf"^study:\s*[\"']?{re.escape(study)}[\"']?\s*(#|$)", text, re.M) is not None
 
 
 def _changed(prepared: Prepared) -> bool:
@@ -308,8 +359,9 @@ def _remove_partial(prepared: Prepared) -> None:
     """Remove half files that interrupted or killed processes have left. Only under the lock."""
     prepared.store.remove_partial()
     for left in prepared.folder.glob("*.partial"):
-        with suppress(OSError):
-            left.unlink()
+        if _own(left.name):
+            with suppress(OSError):
+                left.unlink()
 
 
 def _keep(prepared: Prepared, name: str) -> None:

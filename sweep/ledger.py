@@ -11,6 +11,7 @@ from sweep.schedule import Schedule, Tally
 from sweep.stages import Status
 from sweep.store import DamagedError, Store
 from sweep.study import Limits
+from sweep.versions import machine
 from sweep.worker import Outcome
 
 LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
@@ -75,7 +76,10 @@ class Ledger:
     def enter(self, outcome: Outcome) -> None:
         """A worker told how a run ended."""
         if outcome.status is Status.DONE:
-            self._done(outcome.run, outcome.seconds, outcome.stored, outcome.memory)
+            # what a worker on another kind of machine took is no measure of this one
+            here = outcome.machine in ("", machine())
+            spent = outcome.seconds, outcome.stored, outcome.memory, outcome.compiled
+            self._done(outcome.run, *spent, here=here)
         else:
             self._fail(outcome.run)
 
@@ -102,9 +106,9 @@ class Ledger:
         self.store.put_failure(self.plan.runs[run].id, meta)
         self._fail(run)
 
-    def _done(self, run: int, seconds: float = 0.0, stored: int = 0, memory: int = 0) -> None:
+    def _done(self, run: int, *spent: Any, here: bool = True) -> None:
         self.report.computed += 1
-        self.schedule.done(run, seconds, stored, memory)
+        self.schedule.done(run, *spent, here=here)
         self.tally.finish(run, good=True)
 
     def _fail(self, run: int) -> None:

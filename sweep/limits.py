@@ -3,13 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
+from sweep.memory import machine_memory
 from sweep.plan import Plan
 from sweep.stages import Status
 from sweep.store import DamagedError, MissingError, Store
 from sweep.study import Limits
 
 Excess = tuple[Status, str]  # how a run ends that takes too much, and why
+
+
+SHARED = 0.9  # of the machine's memory, among its workers; the rest is for the run and others
+LEAST = 1e9  # bytes that a worker may always come to: its libraries alone take a tenth
+
+
+def in_force(limits: Limits, workers: int | None) -> Limits:
+    """The limits of a study, its workers' share of this machine where it names no memory.
+
+    Of workers elsewhere (None) nothing is known: theirs is what they were started with.
+    """
+    if limits.memory is not None or workers is None:
+        return limits
+    return replace(limits, memory=max(LEAST, SHARED * machine_memory() / workers))
 
 
 class Judge:
@@ -43,8 +59,8 @@ class Judge:
         if limit is None or held <= limit:
             return None
         return Status.OUT_OF_MEMORY, (
-            f"more than {limit / 1e9:.3g} GB, the study's limits.memory; "
-            "raise it, or make the case smaller"
+            f"more than {limit / 1e9:.3g} GB, the study's limits.memory or, without one, a "
+            "worker's share of this machine; raise it, use fewer workers, or make the case smaller"
         )
 
     def _seconds_before(self, run: int) -> float:

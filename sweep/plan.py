@@ -89,6 +89,17 @@ class Plan:
         """Number of cases that want each stage, shape (stages,)."""
         return np.count_nonzero(self.cases >= 0, axis=0)
 
+    def to_run(self, stored: np.ndarray, failed: np.ndarray) -> np.ndarray:
+        """Which runs are left where some are stored and some are known to fail, (runs,) bool.
+
+        What waits for a run that is known to fail is not left either.
+        """
+        there, left = stored.tolist(), (~stored & ~failed).tolist()
+        for k, run in enumerate(self.runs):
+            if left[k]:
+                left[k] = all(p < 0 or there[p] or left[p] for p in run.parents)
+        return np.array(left, dtype=bool)
+
     def digest(self) -> str:
         """Hash of the identities of all products of all cases, in their order (SHA-256)."""
         digest = hashlib.sha256()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,16 +12,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from model.parameters import SceneError
+from sweep.cost import Costs
+from sweep.limits import in_force
+from sweep.memory import available
 from sweep.plan import Plan, make_plan
 from sweep.scenes import SceneBuilder
 from sweep.stages import MODEL, Status, stage_table
 from sweep.store import Store
-from sweep.study import Study, load_study
+from sweep.study import Limits, Study, load_study
 
 if TYPE_CHECKING:
     from model.scene import Scene
     from sweep.dataset.verdict import Verdict
 
+MORE = 1.25  # times the memory that was short, from which on a case is tried again
 STUDY_FILE, DATASET_FILE = "study.yaml", "dataset.nc"
 
 
@@ -34,18 +38,27 @@ class Prepared:
     store: Store
     folder: Path  # results/<study>
     scene_of: Callable[[int], Scene]
+    table: str = MODEL  # where the table of stages lies
+
+    def costs(self) -> Costs:
+        """What stage runs cost so far on this machine."""
+        return Costs.read(self.store, everywhere=self.table == MODEL)
+
+    def keep(self, costs: Costs) -> None:
+        """Keep what stage runs cost. Raises OSError."""
+        costs.write(self.store, everywhere=self.table == MODEL)
 
     def stored(self) -> np.ndarray:
         """Which runs have their product, (runs,) bool."""
         has = (self.store.has(run.id) for run in self.plan.runs)
         return np.fromiter(has, dtype=bool, count=len(self.plan.runs))
 
-    def failed(self, stored: np.ndarray) -> np.ndarray:
-        """Which runs are known to fail and would fail again, (runs,) bool."""
+    def failed(self, stored: np.ndarray, limits: Limits) -> np.ndarray:
+        """Which runs are known to fail and would fail again under such limits, (runs,) bool."""
         failed = np.zeros(len(self.plan.runs), dtype=bool)
         for k in np.flatnonzero(~stored):
             record = self.store.failure(self.plan.runs[k].id)
-            failed[k] = record is not None and not self._may_pass(record)
+            failed[k] = record is not None and not may_pass(record, limits)
         return failed
 
     def verdicts(self) -> list[Verdict]:
@@ -56,13 +69,26 @@ class Prepared:
         every = range(len(self.plan.cases))
         return [verdict(self.plan, self.store, stored, case) for case in every]
 
-    def _may_pass(self, record: dict[str, Any]) -> bool:
-        """Whether a limit that ended a run has been raised since."""
-        ended = {Status.TIMED_OUT: "time", Status.OUT_OF_MEMORY: "memory"}
-        which = ended.get(Status(record["status"]))
-        then = record.get("limits", {}).get(which)
-        now = getattr(self.study.limits, which) if which else None
-        return then is not None and (now is None or now > then)
+    def tried_again(self, verdicts: list[Verdict], workers: int = 2) -> np.ndarray:
+        """Which cases have failed and yet would be tried again by the next run, (cases,) bool."""
+        stored = self.stored()
+        limits = in_force(self.study.limits, workers)
+        left = self.plan.to_run(stored, self.failed(stored, limits))
+        waits = np.append(left, False)[self.plan.cases].any(axis=1)  # −1: not run
+        bad = [v.status not in (Status.DONE, Status.NOT_RUN) for v in verdicts]
+        return waits & np.array(bad, dtype=bool)
+
+
+def may_pass(record: Mapping[str, Any], limits: Limits) -> bool:
+    """Whether what ended a run has changed: a limit was raised, or more memory is free now."""
+    ended = {Status.TIMED_OUT: "time", Status.OUT_OF_MEMORY: "memory"}
+    which = ended.get(Status(record["status"]))
+    if which is None:
+        return False
+    if "room" in record:  # the machine was short, not the limit
+        return available() > MORE * record["room"]
+    then, now = record.get("limits", {}).get(which), getattr(limits, which)
+    return then is None or now is None or now > then
 
 
 def prepare(
@@ -86,9 +112,8 @@ def prepare(
         return builder.scene(tuple(int(k) for k in np.unravel_index(case, study.shape)))
 
     root = Path(results)
-    return Prepared(
-        study, plan, Store.open(root / "store", create=create), root / study.name, scene_of
-    )
+    store = Store.open(root / "store", create=create)
+    return Prepared(study, plan, store, root / study.name, scene_of, table)
 
 
 def planned(study: Study, table: str = MODEL) -> Plan:

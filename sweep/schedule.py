@@ -74,18 +74,19 @@ class Schedule:
         self._ready: list[tuple[int, int]] = []  # heap of (first case, run)
         self._alone: list[int] = []  # heap of suspects that are ready
         self._children: dict[int, list[int]] = {}
+        left = plan.to_run(stored, failed)
+        self.state[(self.state == State.WAITING) & ~left] = State.BLOCKED
+        # plain lists: numbers of numpy, one at a time, are slow at a hundred thousand cases
+        there, waits = stored.tolist(), left.tolist()
         for run, entry in enumerate(plan.runs):
-            if self.state[run] != State.DONE:
+            if not there[run]:
                 for parent in entry.parents:
                     if parent >= 0:
                         self._children.setdefault(parent, []).append(run)
-        # parents come first, so that one pass blocks all descendants
-        for run, entry in enumerate(plan.runs):
-            if self.state[run] == State.WAITING:
-                parents = [self.state[p] for p in entry.parents if p >= 0]
-                if any(p in (State.FAILED, State.BLOCKED) for p in parents):
-                    self.state[run] = State.BLOCKED
-        self._settle(range(len(plan.runs)))
+                if waits[run] and all(p < 0 or there[p] for p in entry.parents):
+                    self.state[run] = State.READY
+                    self._ready.append((entry.case, run))
+        heapq.heapify(self._ready)
 
     @property
     def pending(self) -> int:
@@ -131,11 +132,24 @@ class Schedule:
                     heapq.heappush(chain, (self.plan.runs[child].case, child))
         return Bundle(tuple(runs), False, seconds) if runs else None
 
-    def done(self, run: int, seconds: float = 0.0, stored: int = 0, memory: int = 0) -> None:
-        """A run has stored its product; what it took in s and bytes."""
+    def done(
+        self,
+        run: int,
+        seconds: float | None = None,
+        stored: int = 0,
+        memory: int = 0,
+        compiled: bool = False,
+        *,
+        here: bool = True,
+    ) -> None:
+        """A run has stored its product; what it took in s and bytes, where that is known.
+
+        What it took elsewhere than `here` counts for this run of the study alone.
+        """
         self.state[run] = State.DONE
-        for costs in (self.costs, self._measured):
-            costs.add(self.plan.runs[run].kind, seconds, stored, memory)
+        if seconds is not None:
+            for costs in (self._measured, *([self.costs] if here else [])):
+                costs.add(self.plan.runs[run].kind, seconds, stored, memory, compiled)
         self._settle(self._children.get(run, ()))
 
     def failed(self, run: int) -> list[int]:

@@ -22,7 +22,7 @@ import json
 import os
 import struct
 from collections.abc import Container, Iterator, Mapping
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -148,40 +148,21 @@ class Store:
         """Whether the product is there (whole or not: reading it tells)."""
         return os.path.exists(self.path(identity))
 
-    def put(self, identity: str, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> int:
-        """Store a product durably and return its size in bytes. Raises OSError."""
-        content = pack(arrays, {**meta, "id": identity})
-        write_durably(self.path(identity), content)
-        self.forget_failure(identity)
-        return len(content)
-
     def get(self, identity: str) -> Stored:
         """Return a product, its hash checked.
 
         Raises MissingError where it is not there, DamagedError where it is not what was
         written; the damaged file is set aside then, so that the product counts as missing.
         """
-        path = self.path(identity)
-        try:
+        with self._reading(identity) as path:
             return _of(identity, unpack(path.read_bytes()))
-        except FileNotFoundError:
-            raise MissingError(identity) from None
-        except DamagedError as error:
-            put_aside(path)
-            raise DamagedError(f"{path}: {error}") from None
 
     def content(self, identity: str) -> bytes:
         """Return a product as the bytes of its file, its hash checked. Raises as `get` does."""
-        path = self.path(identity)
-        try:
+        with self._reading(identity) as path:
             content = path.read_bytes()
             _of(identity, unpack(content))
-        except FileNotFoundError:
-            raise MissingError(identity) from None
-        except DamagedError as error:
-            put_aside(path)
-            raise DamagedError(f"{path}: {error}") from None
-        return content
+            return content
 
     def accept(self, files: Mapping[str, tuple[str, bytes]]) -> None:
         """Do as `keep` does with files that were packed elsewhere.
@@ -204,14 +185,8 @@ class Store:
 
     def meta(self, identity: str) -> dict[str, Any]:
         """Return a product's description alone. Raises as `get` does."""
-        path = self.path(identity)
-        try:
+        with self._reading(identity) as path:
             return _read_meta(path)
-        except FileNotFoundError:
-            raise MissingError(identity) from None
-        except DamagedError as error:
-            put_aside(path)
-            raise DamagedError(f"{path}: {error}") from None
 
     def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
         """Record that a run failed, and how; a product of an earlier try goes."""
@@ -220,18 +195,21 @@ class Store:
 
     def failure(self, identity: str) -> dict[str, Any] | None:
         """Return the record of a failed run, None where there is none (or it is damaged)."""
-        path = self.path(identity, "failed")
-        try:
+        with suppress(MissingError, DamagedError), self._reading(identity, "failed") as path:
             return _read_meta(path)
-        except FileNotFoundError:
-            return None
-        except DamagedError:
-            put_aside(path)
-            return None
+        return None
 
-    def forget_failure(self, identity: str) -> None:
-        """Remove the record of a failed run, so that it runs again."""
-        self.path(identity, "failed").unlink(missing_ok=True)
+    @contextmanager
+    def _reading(self, identity: str, kind: str = "product") -> Iterator[Path]:
+        """Where a file lies that is read; a damaged one is set aside."""
+        path = self.path(identity, kind)
+        try:
+            yield path
+        except FileNotFoundError:
+            raise MissingError(identity) from None
+        except DamagedError as error:
+            put_aside(path)
+            raise DamagedError(f"{path}: {error}") from None
 
     def files(self) -> Iterator[Path]:
         """Every product and every record of a failure."""

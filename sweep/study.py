@@ -40,6 +40,7 @@ from sweep.yaml_source import Node, Place, Problem, Scalar, Source, StudyError, 
 
 __all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyError", "load_study"]
 
+DAY = 86400.0  # s
 MOST_COMBINATIONS = 2_000  # checked one by one before anything runs
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
@@ -51,14 +52,22 @@ RESERVED_NAMES = ("store",)  # results/store holds the products of all studies
 
 @dataclass(frozen=True)
 class Limits:
-    """What one case may take before it is stopped and counted as failed; None: no limit.
+    """What one case may take before it is stopped and counted as failed.
 
-    Memory is that of the worker that is at it. Compiling kernels, which happens once on a
-    machine, is no case's time.
+    Memory is that of the worker that is at it; None stands for a worker's share of the machine
+    (`sweep.limits.in_force`). Compiling kernels, which happens once on a machine, is no case's
+    time. Neither is part of any product's identity.
     """
 
-    time: float | None = parameter("s", default=None, above=0, help="time limit of a case")
-    memory: float | None = parameter("B", default=None, above=0, help="memory limit of a case")
+    time: float | None = parameter(
+        "s", default=DAY, above=0, help="time limit of a case, by default 24 h"
+    )
+    memory: float | None = parameter(
+        "B",
+        default=None,
+        above=0,
+        help="memory limit of a case, by default nine tenths of the machine's over its workers",
+    )
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections.abc import Iterator
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -41,9 +41,7 @@ def verify(results: str | Path) -> Verified:
     `results` is the folder of all results; one study's folder in it stands for it too. Raises
     StoreError where no store is there, LockedError while a run goes on.
     """
-    root = Path(results)
-    if not _has_store(root) and (root / STUDY_FILE).is_file():
-        root = root.resolve().parent
+    root = _root(results)
     store = _store(root)
     writable = os.access(root, os.W_OK)
     checked, damaged = 0, []
@@ -70,9 +68,10 @@ def unwanted(results: str | Path, *, table: str = MODEL) -> Unwanted:
 
     A study refers to the products of all its cases, with its smoke block and without, also
     before its first dataset was collected. Raises StoreError where no store is there,
-    StudyError where a study of the folder cannot be read: then nothing can be freed.
+    StudyError where a study of the folder cannot be read: then nothing can be freed. One study's
+    folder stands for that of all, as for `verify`.
     """
-    root = Path(results)
+    root = _root(results)
     store = _store(root)
     wanted: set[str] = set()
     for name in (STUDY_FILE, UNFINISHED_FILE):
@@ -81,16 +80,27 @@ def unwanted(results: str | Path, *, table: str = MODEL) -> Unwanted:
                 plan = planned(load_study(path, smoke=smoke), table)
                 wanted.update(run.id for run in plan.runs)
     files = [*store.unwanted(wanted), *sorted(root.glob(f"*/{DATASET_FILE}.damaged"))]
-    return Unwanted(files, sum(path.stat().st_size for path in files))
+    sizes: dict[Path, int] = {}
+    for path in files:
+        with suppress(FileNotFoundError):  # what a run wrote aside has its name by now
+            sizes[path] = path.stat().st_size
+    return Unwanted(list(sizes), sum(sizes.values()))
 
 
 def free(results: str | Path) -> Unwanted:
     """Remove what `unwanted` finds, while no run goes on. Raises as it does, and LockedError."""
-    with FolderLock(Path(results), "demflow clean"):
+    with FolderLock(_root(results), "demflow clean"):
         found = unwanted(results)
         for path in found.files:
             path.unlink(missing_ok=True)
     return found
+
+
+def _root(results: str | Path) -> Path:
+    """The folder of all results, be it given itself or one study's folder in it."""
+    root = Path(results)
+    in_it = any((root / name).is_file() for name in (STUDY_FILE, UNFINISHED_FILE, DATASET_FILE))
+    return root.resolve().parent if in_it and not _has_store(root) else root
 
 
 def _has_store(root: Path) -> bool:

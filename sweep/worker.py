@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import resource
 import signal
 import socket
 import sys
@@ -19,6 +18,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -31,6 +31,7 @@ from model.memory import limited
 from model.outcome import ModelError, OutOfMemory
 from model.parameters import SceneError
 from model.quantities import CASE
+from sweep.memory import available, peak_memory, resident_memory
 from sweep.stages import Status, stage_table
 from sweep.store import DamagedError, MissingError, Store, Stored, canonical, pack, unpack
 from sweep.versions import machine, versions
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
     from model.stages import Stage
 
 COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
+SHORT = 0.99  # share of a limit below which less than the limit was there
+OOM_SCORE = "500"  # of 1000: as if half of the machine's memory were held on top
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -72,7 +75,9 @@ class Outcome:
     message: str = ""
     seconds: float = 0.0
     stored: int = 0  # bytes
-    memory: int = 0  # largest resident memory of this process so far, bytes; 0 if it compiled
+    memory: int = 0  # largest resident memory of this process so far, bytes
+    compiled: bool = field(default=False, kw_only=True)  # whether it has compiled kernels too
+    machine: str = field(default="", kw_only=True)  # the kind of machine that it ran on
     lost: str | None = field(default=None, kw_only=True)
     file: bytes = field(default=b"", kw_only=True)  # what a worker without a store would store
 
@@ -88,6 +93,7 @@ def introduce(greeting: Greeting) -> dict[str, str]:
     """Import the stages, which is no stage's time, and return the versions of this worker."""
     if greeting.parent is not None:
         _end_with(greeting.parent)
+        _go_first()
     worker = get_worker()
     compilation.listener = lambda seconds: worker.log_event(COMPILING, {"seconds": seconds})
     for stage in stage_table(greeting.table):
@@ -110,6 +116,12 @@ def _end_with(parent: int) -> None:
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
 
 
+def _go_first() -> None:
+    """Where the machine runs out of memory, let the kernel end a worker and not its client."""
+    with suppress(OSError):  # not Linux, or not allowed
+        Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
+
+
 def run_job(job: Job) -> list[Outcome]:
     """Run the tasks of a job in turn; return how each of them ended.
 
@@ -125,7 +137,7 @@ def run_job(job: Job) -> list[Outcome]:
             failed.add(task.id)
             continue
         with limited(job.memory):
-            outcome = _run(task, stages, held)
+            outcome = _run(task, stages, held, job.memory)
         if outcome.status is not Status.DONE:
             failed.add(task.id)
         if held.store is None and task.id in held.made:
@@ -167,7 +179,7 @@ class _Held:
         self.made[identity] = ("failed", pack({}, {**meta, "id": identity}))
 
 
-def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
+def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | None) -> Outcome:
     stage = stages[task.stage]
     parents: list[Any] = []
     for name, identity in zip(stage.parents, task.parents, strict=True):
@@ -202,15 +214,31 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held) -> Outcome:
     meta |= {"seconds": seconds, "cpu_seconds": cpu_end - cpu}
     meta |= {"machine": machine(), "host": socket.gethostname()}
     meta |= {"worker": os.getpid(), "versions": versions()}
-    # what compiling took, once on this machine, is no measure of the next run
-    compiled = compilation.seconds > 0.0
-    memory = 0 if compiled else resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
+    spent = Outcome(
+        task.run,
+        status,
+        message,
+        seconds,
+        memory=peak_memory(),
+        # what compiling took, once on this machine, is no measure of the next run
+        compiled=compilation.seconds > 0.0,
+        machine=machine(),
+    )
+    if status is Status.OUT_OF_MEMORY:
+        meta |= _memory_there(limit)
     if status is not Status.DONE:
         held.put_failure(task.id, {**meta, "status": int(status), "message": message})
-        return Outcome(task.run, status, message, seconds, memory=memory)
+        return spent
     size = held.put(task.id, arrays, meta)
     _memory.put(task.id, arrays)
-    return Outcome(task.run, status, message, seconds, size, memory)
+    return replace(spent, stored=size)
+
+
+def _memory_there(limit: float | None) -> dict[str, Any]:
+    """What bounded a run that found no memory: its limit, or less, all that there was."""
+    room = available() + resident_memory()
+    short = limit is None or room < SHORT * limit
+    return {"limits": {"memory": limit}} | ({"room": room} if short else {})
 
 
 def _working_time() -> tuple[float, float]:
@@ -234,9 +262,6 @@ def _check_numbers(found: Mapping[str, np.ndarray]) -> None:
                 f"{name} is not a finite number at {count} of {array.size} places; "
                 "try another solver.method, or less extreme apertures and times"
             )
-
-
-_RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # what getrusage counts in
 
 
 def named(product: Any) -> Mapping[str, np.ndarray]:

@@ -25,7 +25,7 @@ MODEL = (
 # The study and its cases are read without the model's machinery; what runs comes after, and
 # what is made of results reads no stage.
 SWEEP = (
-    ("sweep.units", "sweep.yaml_source", "sweep.versions"),
+    ("sweep.units", "sweep.yaml_source", "sweep.versions", "sweep.memory"),
     ("sweep.lock", "sweep.signals", "sweep.progress", "sweep.errors"),
     ("sweep.grammar",),
     ("sweep.blocks", "sweep.smoke"),
@@ -53,6 +53,7 @@ SWEEP = (
 # All that a study needs of the model: what a scene is, what is measured, how a case ended.
 CONTRACT = ("model.parameters", "model.region", "model.scene", "model.outcome", "model.quantities")
 MACHINERY = {  # rooms of the sweep that may see more of the model, and what
+    "sweep.memory": ("model.memory",),
     "sweep.stages": ("model.stages",),
     "sweep.plan": ("model.stages",),
     "sweep.heritage": ("model.stages",),

@@ -9,17 +9,24 @@ from study_text import EXAMPLE, SMALL, load
 
 from model.parameters import SceneError
 from sweep.axes import Axis
-from sweep.cases import case_at, cases, coordinates, shape
+from sweep.cases import Case, case_at, coordinates
+from sweep.scenes import SceneBuilder
 
 
 def varied(folder, axes, text=SMALL):
     return load(folder, text[: text.index("vary:")] + axes + text[text.index("observe:") :])
 
 
+def cases(study):
+    """Every case in the order of a plan, from one builder as there."""
+    builder = SceneBuilder(study.values, study.axes)
+    return [Case(index, builder.scene(index)) for index in np.ndindex(study.shape)]
+
+
 def test_every_case_once_the_last_axis_fastest(tmp_path):
     study = load(tmp_path, EXAMPLE)
-    made = list(cases(study))
-    assert shape(study) == (3, 5, 3, 2)
+    made = cases(study)
+    assert study.shape == (3, 5, 3, 2)
     assert [case.index for case in made] == list(np.ndindex(3, 5, 3, 2))
     assert len({case.scene for case in made}) == len(made)
     for case in made:
@@ -39,7 +46,7 @@ def test_a_case_alone_is_the_case_of_the_sweep(tmp_path):
 
 
 def test_blocks_of_equal_content_are_one_object(tmp_path):
-    made = list(cases(load(tmp_path, EXAMPLE)))
+    made = cases(load(tmp_path, EXAMPLE))
     assert len({id(case.scene.grains) for case in made}) == 1
     assert len({id(case.scene.wells) for case in made}) == 2
     assert len({id(case.scene.stress) for case in made}) == 3

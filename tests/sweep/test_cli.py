@@ -98,7 +98,7 @@ def test_some_case_failed(bad, capsys):
         "seed = 1, rate = -1 m3/s: failed: flow: the well is dry; try a smaller rate",
     ]
     assert toys.demflow("status", str(path), "--results", results, "--json") == 1
-    failure = {"seed": 1, "rate": -1.0, "status": "failed"}
+    failure = {"seed": 1, "rate": -1.0, "status": "failed", "tried_again": False}
     found = json.loads(capsys.readouterr().out)["failures"]
     assert found == [failure | {"message": "flow: the well is dry; try a smaller rate"}]
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
 from sweep.cost import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
 from sweep.forecast import forecast
+from sweep.memory import peak_memory
 from sweep.plan import SIZE_STEP, Kind, grains, make_plan
 from sweep.stages import stage_table
 from sweep.store import Store
@@ -107,6 +108,67 @@ def test_costs_are_kept_for_machines_of_their_kind(tmp_path, monkeypatch):
     for text in ("{]", "[]", "{}", '{"machine": 1}'):
         (store.root / "costs.json").write_text(text)
         assert Costs.read(store).known == {}
+
+
+def test_what_one_folder_measured_serves_the_next_on_this_machine(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    first, second = (Store.open(tmp_path / name / "store") for name in ("first", "second"))
+    costs = measured(lambda n: n * 1e-3, (500, 1000))
+    costs.led(int(2e8))
+    costs.write(first, everywhere=True)
+    assert Costs.read(second).known == {}
+    told = Costs.read(second, everywhere=True)
+    assert (told.known, told.main) == (costs.known, costs.main)
+    other = measured(lambda n: n * 2e-3, (1000, 2000))
+    other.write(second, everywhere=True)
+    both = Costs.read(first, everywhere=True)
+    assert both.seconds(kind(500)) == costs.seconds(kind(500))
+    assert both.seconds(kind(1000)) == costs.seconds(kind(1000))  # what was measured here
+    assert both.seconds(kind(2000)) == other.seconds(kind(2000))
+    (tmp_path / "cache" / "demflow" / "costs.json").write_text("{")
+    assert Costs.read(first, everywhere=True).known == costs.known
+
+
+def test_a_cache_that_cannot_be_written_is_done_without(tmp_path, monkeypatch):
+    (tmp_path / "cache").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    store = Store.open(tmp_path / "store")
+    costs = measured(lambda n: n * 1e-3, (500,))
+    costs.write(store, everywhere=True)
+    assert Costs.read(store, everywhere=True).known == costs.known
+
+
+def test_memory_of_workers_that_compiled_counts_until_others_were_seen():
+    costs = Costs()
+    costs.add(kind(1000), 1.0, 10, 400, compiled=True)
+    assert costs.memory(kind(1000)) == 400
+    costs.add(kind(1000), 1.0, 10, 300)
+    costs.add(kind(1000), 1.0, 10, 500, compiled=True)
+    assert costs.memory(kind(1000)) == 300
+
+
+def test_what_is_known_is_told_as_a_lower_bound(tmp_path, capsys):
+    rates = (1.0, 2.0)
+    path = toys.write_study(tmp_path, seconds=0.02, seeds=(1,), stresses=(), rates=rates)
+    toys.run(path, tmp_path / "results")
+    made = toys.prepared(path, tmp_path / "results")
+    known = made.costs()
+    for key in [key for key in known.known if key.startswith("observe/")]:
+        del known.known[key]
+    made.keep(known)
+    for product in made.store.root.glob("*/*.product"):
+        product.unlink()
+    told = forecast(made, 2)
+    assert told["unknown"] == ["observe"]
+    assert (told["seconds"], told["bytes"], told["memory"]) == (None, None, None)
+    own = sum(stage["seconds"] or 0.0 for stage in told["stages"])
+    assert 0.015 < own / 2 < told["at_least"]["seconds"]
+    assert told["at_least"]["memory"] > peak_memory()
+    toys.demflow("plan", str(path), "--results", str(tmp_path / "results"))
+    out = capsys.readouterr().out
+    assert "expected time: at least " in out
+    assert "never run on this machine: observe" in out
+    assert "limits of a case: 24 h 00 min, " in out
 
 
 SCENE = Scene(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import subprocess
@@ -12,13 +13,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import sweep
 from model.quantities import SWEEP
+from sweep import engine
 from sweep.lock import FolderLock, LockedError
 from sweep.prepared import prepare
 from sweep.results import open_results
 from sweep.store import StoreError
 from tests.sweep import toy_stages, toys
 from tests.sweep.processes import leftovers, products, start
+from tests.sweep.stored import put
 
 CASES = 2 * 2 * 3
 RUNS = 2 + 4 + 12 + 12  # packs, stresses, flows, observers
@@ -111,7 +115,8 @@ def test_what_lay_there_before_is_not_taken_for_new_where_a_worker_dies(tmp_path
     toys.run(path, tmp_path / "results")
     plan = toys.prepared(path, tmp_path / "results")
     dying = next(r.id for r in plan.plan.runs if r.stage == 2 and r.case == 1)
-    plan.store.put(dying, {"pressure": np.zeros(3)}, {"seconds": 0.0})  # of an earlier, luckier run
+    # of an earlier, luckier run
+    put(plan.store, dying, {"pressure": np.zeros(3)}, {"seconds": 0.0})
     finished = toys.run(path, tmp_path / "results", force=True)
     assert (finished.failed, finished.executed.computed) == (1, 4)
 
@@ -158,6 +163,57 @@ def test_a_folder_that_is_something_else_is_left_alone(tmp_path):
     with pytest.raises(StoreError, match="holds no store"):
         toys.run(path, home)
     assert [p.name for p in home.rglob("*")] == ["store", "diary.txt"]
+
+
+@pytest.mark.parametrize("quote", ["", '"'])
+def test_a_results_folder_may_be_cleaned_by_hand(tmp_path, quote):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    path.write_text(path.read_text().replace("study: toy", f"study: {quote}toy{quote}  # a toy"))
+    folder = toys.run(path, tmp_path / "results").folder
+    for left in folder.iterdir():
+        if left.name != "study.yaml":
+            left.unlink()
+    path.write_text(path.read_text().replace("[1.0]", "[1.0, 2.0]"))
+    assert toys.run(path, tmp_path / "results").cases == 2
+    assert (folder / "study.yaml").read_text() == path.read_text()
+
+
+@pytest.mark.parametrize("name", ["figures_of_1987.tex", "dataset.nc.old", "report.html.txt"])
+def test_files_that_are_called_much_like_ours_are_not(tmp_path, name):
+    path = toys.write_study(tmp_path)
+    folder = tmp_path / "results" / "toy"
+    folder.mkdir(parents=True)
+    for left in (name, "download.partial"):
+        (folder / left).touch()
+    with pytest.raises(StoreError, match=name):
+        toys.run(path, tmp_path / "results")
+    assert sorted(p.name for p in folder.iterdir()) == sorted([name, "download.partial"])
+
+
+def test_only_half_files_of_runs_are_removed(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    folder = toys.run(path, tmp_path / "results").folder
+    for left in ("download.partial", "dataset.nc.17.partial", "report.html.partial"):
+        (folder / left).touch()
+    toys.run(path, tmp_path / "results")
+    assert [p.name for p in folder.glob("*.partial")] == ["download.partial"]
+
+
+def test_a_script_is_warned_of_what_the_command_line_tells(tmp_path, monkeypatch):
+    rates = (1.0, toy_stages.RAISES)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates)
+    monkeypatch.setattr(engine, "run_study", functools.partial(engine.run_study, table=toys.TABLE))
+    monkeypatch.setattr(engine, "draw", lambda prepared, finished, **_: finished)
+    with pytest.warns(engine.RunWarning, match="1 of 2 cases failed.*retry_failed=True") as told:
+        sweep.run(path, results=tmp_path / "results")
+    assert len(told) == 1
+    made = toys.prepared(path, tmp_path / "results")
+    os.truncate(made.store.path(made.plan.runs[int(made.plan.cases[0, -1])].id), 99)
+    (tmp_path / "results" / "toy" / "dataset.nc").unlink()
+    with pytest.warns(engine.RunWarning) as told:
+        sweep.run(path, results=tmp_path / "results")
+    assert "damaged, computed again" in str(told[0].message)
+    assert {warning.filename for warning in told} == {__file__}
 
 
 def environment() -> dict[str, str]:

@@ -6,6 +6,7 @@ import os
 import re
 import threading
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 import psutil
@@ -96,6 +97,39 @@ def test_a_limit_that_was_raised_is_tried_again(poisoned):
     assert lowered.executed is None
 
 
+def test_a_memory_limit_that_was_raised_is_tried_again(tmp_path, capsys):
+    """Foreseen by the stage, hence recorded by the worker."""
+    rates, results = (1.0, toy_stages.FORESEES), tmp_path / "results"
+
+    def ran(limits: str):
+        path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, limits=limits)
+        return path, toys.run(path, results)
+
+    path, low = ran("{memory: 160 MB}")
+    assert open_results(low.folder).status.values.ravel()[1] == Status.OUT_OF_MEMORY
+    assert ran("{memory: 159 MB}")[1].executed is None
+    toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, limits="{memory: 20 GB}")
+    capsys.readouterr()
+    toys.demflow("status", str(path), "--results", str(results))
+    assert "1 of them: tried again by the next run" in capsys.readouterr().err
+    high = toys.run(path, results)
+    assert (high.executed.computed, high.failed) == (2, 0)
+
+
+def test_without_limits_a_case_has_its_share_of_the_machine(tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.limits.machine_memory", lambda: 666e6)
+    monkeypatch.setattr("sweep.limits.LEAST", 1e6)
+    rates = (1.0, toy_stages.GROWS, 2.0)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates)
+    dataset = open_results(toys.run(path, tmp_path / "results").folder)
+    ended = [Status.DONE, Status.OUT_OF_MEMORY, Status.DONE]
+    assert list(dataset.status.values.ravel()) == ended
+    assert "flow: more than 0.3 GB" in dataset.message.sel(rate=toy_stages.GROWS, seed=1).item()
+    monkeypatch.undo()
+    prepared = toys.prepared(path, tmp_path / "results")  # on the whole machine there is more
+    assert list(prepared.tried_again(prepared.verdicts())) == [False, True, False]
+
+
 def test_the_time_of_a_case_is_that_of_all_its_stages(tmp_path):
     seeds = (1, toy_stages.SLOW_SEED)  # with this one two stages take 1.2 s each
     path = toys.write_study(
@@ -148,6 +182,7 @@ def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, 2.0), seconds=0.8)
     listening: set[str] = set()
     environments: list[dict[str, str]] = []
+    first: set[int] = set()  # how soon the kernel ends a process where memory is short
     stop = threading.Event()
 
     def watch() -> None:
@@ -157,7 +192,8 @@ def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing
                     found = process.net_connections("inet")
                     if process.pid not in before and "spawn_main" in " ".join(process.cmdline()):
                         environments.append(process.environ())
-                except psutil.Error:
+                        first.add(int(Path(f"/proc/{process.pid}/oom_score_adj").read_text()))
+                except (psutil.Error, OSError):
                     continue
                 listening.update(c.laddr.ip for c in found if c.status == psutil.CONN_LISTEN)
 
@@ -171,6 +207,7 @@ def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing
     assert finished.failed == 0
     assert listening == {"127.0.0.1"}
     assert environments
+    assert max(first) > int(Path("/proc/self/oom_score_adj").read_text())
     for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         assert {environment[name] for environment in environments} == {"1"}
     # the resource tracker of multiprocessing belongs to the interpreter, not to the run

@@ -15,46 +15,85 @@ STAGES = stage_table(toys.TABLE)
 
 
 @pytest.fixture
-def store(tmp_path):
-    return Store.open(tmp_path / "store")
+def made(tmp_path, monkeypatch):
+    """A study, as a table of stages plans it; its store was noted by the stages as they are."""
+    path = toys.write_study(tmp_path)
+
+    def planned(stages=STAGES, path=path):
+        monkeypatch.setattr(toy_stages, "STAGES", stages)
+        prepared = toys.prepared(path, tmp_path / "results")
+        return prepared.store, prepared.study, prepared.plan
+
+    Store.open(tmp_path / "results" / "store")
+    note(*planned())
+    return planned
 
 
-def raised(name: str):
-    return tuple(replace(s, version=2) if s.name == name else s for s in STAGES)
+def changed(name: str, **how):
+    return tuple(replace(s, **how) if s.name == name else s for s in STAGES)
 
 
-def test_nothing_is_said_where_nothing_changed(store):
-    assert inherited(store, STAGES) is None
-    note(store, STAGES)
-    assert inherited(store, STAGES) is None
+def told(made, stages) -> str | None:
+    store, _, plan = made(stages)
+    return inherited(store, plan)
+
+
+def test_nothing_is_said_where_nothing_changed(made):
+    assert told(made, STAGES) is None
+    store, study, plan = made()
     for text in ("{", "[]", "{}"):
         (store.root / "stages.json").write_text(text)
-        assert inherited(store, STAGES) is None
+        assert told(made, STAGES) is None
+    (store.root / "stages.json").unlink()
+    assert inherited(store, plan) is None
+    note(store, study, plan)
+    assert inherited(store, plan) is None
 
 
-def test_a_raised_version_costs_the_stage_and_what_follows(store):
-    note(store, STAGES)
-    told = inherited(store, raised("stress"))
-    assert "kept are its results of pack;" in told
-    assert "stress (version 1, now 2)" in told
-    assert "flow (follows stress)" in told
-    assert "no stage" in inherited(store, raised("pack"))
-    note(store, STAGES[:2])
-    assert "flow (new)" in inherited(store, STAGES)
+def test_a_raised_version_costs_the_stage_and_what_follows(made):
+    message = told(made, changed("stress", version=2))
+    assert "kept are its results of pack;" in message
+    assert "stress (version 1, now 2)" in message
+    assert "flow (follows stress)" in message
+    assert "no stage" in told(made, changed("pack", version=2))
 
 
-def test_what_is_kept_is_what_is_stored(tmp_path, monkeypatch):
-    path, results, told = toys.write_study(tmp_path), tmp_path / "results", []
-    toys.run(path, results, tell=told.append)
-    assert told == []
-    monkeypatch.setattr(toy_stages, "STAGES", raised("observe"))
+def test_a_new_stage_is_told(made):
+    note(*made(tuple(s for s in STAGES if s.name in ("pack", "stress"))))
+    assert "flow (new)" in told(made, STAGES)
+
+
+def test_a_stage_that_reads_something_else_under_the_same_version_is_told(made):
+    more = STAGES[0].reads | {"porosity": lambda s: s.grains.porosity}
+    message = told(made, changed("pack", reads=more))
+    assert "kept are its results of no stage" in message
+    assert "pack (it reads something else)" in message
+    other = STAGES[1].reads | {"stress": lambda s: (s.stress, 1.0)}  # under the same name
+    message = told(made, changed("stress", reads=other))
+    assert "kept are its results of pack;" in message
+    assert "stress (it reads something else)" in message
+
+
+def test_what_is_kept_is_told_of_the_study_that_was_run(made, tmp_path):
+    """Another study, whose products nobody has, does not make the stages look changed."""
+    other = toys.write_study(tmp_path, name="other", seeds=(8, 9), rates=(7.0,))
+    store, _, plan = made(STAGES, other)
+    assert inherited(store, plan) is None
+
+
+@pytest.mark.parametrize("how", [{"version": 2}, {"reads": {"rate": lambda s: s.wells[0].rate}}])
+def test_what_is_kept_is_what_is_stored(tmp_path, monkeypatch, how):
+    path, results, heard = toys.write_study(tmp_path), tmp_path / "results", []
+    toys.run(path, results, tell=heard.append)
+    assert heard == []
+    monkeypatch.setattr(toy_stages, "STAGES", changed("observe", **how))
     prepared = toys.prepared(path, results)
     there = {
         prepared.plan.stage_of(run).name
         for run in range(len(prepared.plan.runs))
         if prepared.stored()[run]
     }
-    message = inherited(prepared.store, prepared.plan.stages)
+    message = inherited(prepared.store, prepared.plan)
     assert f"kept are its results of {', '.join(s.name for s in STAGES if s.name in there)};" in (
         message
     )

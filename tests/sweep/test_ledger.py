@@ -12,8 +12,10 @@ from sweep.limits import Judge
 from sweep.schedule import Schedule
 from sweep.stages import Status
 from sweep.study import Limits
+from sweep.versions import machine
 from sweep.worker import Outcome
 from tests.sweep import toys
+from tests.sweep.stored import put
 
 
 @pytest.fixture
@@ -30,7 +32,7 @@ def made(tmp_path):
     return made
 
 
-UNLIMITED = Limits()
+UNLIMITED = Limits(time=None)
 
 
 def ledger_of(made, limits=UNLIMITED) -> Ledger:
@@ -39,7 +41,7 @@ def ledger_of(made, limits=UNLIMITED) -> Ledger:
 
 
 def store(made, run: int, seconds: float = 0.0) -> None:
-    made.store.put(made.plan.runs[run].id, {"x": np.zeros(3)}, {"seconds": seconds})
+    put(made.store, made.plan.runs[run].id, {"x": np.zeros(3)}, {"seconds": seconds})
 
 
 def test_a_product_that_is_lost_again_and_again_ends_the_run(made):
@@ -74,6 +76,17 @@ def test_a_conviction_is_recorded_with_its_limits_and_blocks_what_follows(made):
     assert (ledger.schedule.pending, ledger.tally.failed, ledger.report.failed) == (0, 1, 1)
 
 
+def test_what_a_worker_elsewhere_took_is_not_booked_here(made):
+    ledger = ledger_of(made)
+    ledger.enter(Outcome(0, Status.DONE, seconds=5.0, stored=10, machine="abacus"))
+    ledger.find_stored(0)
+    assert ledger.schedule.costs.known == {}
+    ledger.enter(Outcome(1, Status.DONE, seconds=5.0, stored=10, machine=machine()))
+    store(made, 2)
+    ledger.find_stored(2)  # done, in nobody knows what time
+    assert [key.split("/")[0] for key in ledger.schedule.costs.known] == ["stress"]
+
+
 def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
     store(made, 0, seconds=3.0)
     store(made, 1, seconds=4.0)
@@ -81,7 +94,7 @@ def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
     assert judge.of_time([2], 2.9) is None
     status, why = judge.of_time([2], 3.1)
     assert (status, "7 s of them in earlier stages" in why) == (Status.TIMED_OUT, True)
-    assert Judge(made.plan, made.store, Limits()).of_time([2], 1e9) is None
+    assert Judge(made.plan, made.store, UNLIMITED).of_time([2], 1e9) is None
 
 
 def test_a_worker_elsewhere_is_sent_a_parent_once_and_again_when_it_lost_it(made):

@@ -175,7 +175,7 @@ def test_without_axes_there_is_one_case(tmp_path):
     assert study.shape == ()
     assert case_at(study, ()).scene.stress.yy == 10e6
     assert study.title == "small"
-    assert study.limits.time is None
+    assert (study.limits.time, study.limits.memory) == (24 * 3600.0, None)
     assert study.figures.maps == ()
 
 

@@ -12,7 +12,7 @@ from sweep import cli
 from sweep.engine import UNFINISHED_FILE
 from sweep.lock import FolderLock
 from sweep.results import open_results
-from sweep.store import StoreError
+from sweep.store import Store, StoreError
 from sweep.study import StudyError
 from sweep.upkeep import unwanted, verify
 from tests.sweep import toy_stages, toys
@@ -52,6 +52,14 @@ def test_the_folder_of_a_study_stands_for_that_of_all(results):
     assert verify(results / "first").checked == verify(results).checked
     with pytest.raises(StoreError, match="no results folder"):
         verify(results.parent)
+
+
+def test_clean_takes_the_folder_of_a_study_too_and_files_that_vanish(results, monkeypatch):
+    (results / "second" / "study.yaml").unlink()
+    assert unwanted(results / "first", table=toys.TABLE) == unwanted(results, table=toys.TABLE)
+    gone = results / "store" / "ab" / "written.1.partial"
+    monkeypatch.setattr(Store, "unwanted", lambda *_: iter([gone]))
+    assert unwanted(results, table=toys.TABLE).files == []
 
 
 @pytest.mark.parametrize("flipped", ["dataset.nc", "dataset.nc.sha256"])

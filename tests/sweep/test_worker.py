@@ -118,4 +118,6 @@ def test_what_would_not_fit_is_foreseen(store):
     assert ended.status is Status.OUT_OF_MEMORY
     assert "a toy needs 0.1 GB" in ended.message
     assert "limits.memory" in ended.message
+    record = store.failure(IDS["flow"])
+    assert (record["limits"], "room" in record) == ({"memory": 1.5e8}, False)
     assert run(store, flow)[0].status is Status.DONE
