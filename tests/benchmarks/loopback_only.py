@@ -52,9 +52,16 @@ def run() -> Result:
     with dask_cluster(results_folder() / "sockets_cluster") as cluster:
         there, status_there = watched("there", "--scheduler", cluster.address)
     beyond = {address for address in seen if not address.startswith(LOOPBACK)}
+    lines = [
+        f"{STUDIES.name}/quickstart.yaml on 2 workers of its own: exit status {status}, "
+        f"listened on {sorted(seen)}",
+        f"on a cluster at {cluster.address}: exit status {status_there}, listened on "
+        f"{sorted(there)}; looked at every 50 ms, the run and all its children",
+    ]
     return Result(
         f"listened on {', '.join(sorted(seen)) or 'nothing'}; "
         f"with a cluster named, on {', '.join(sorted(there)) or 'nothing'}",
         "loopback only; nothing",
         bool(seen) and not beyond and not there and status == status_there == 0,
+        "\n".join(lines),
     )
