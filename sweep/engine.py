@@ -110,6 +110,7 @@ def run_study(
         # a worker, importing a script that calls this above `if __name__ == "__main__":`;
         # the run that started it says so, once
         raise SystemExit(1)
+    how = _How(workers, scheduler, retry_failed, force)
     prepared = prepare(path, results, smoke=smoke, table=table, create=True)
     root = prepared.store.root.parent
     with ExitStack() as held:
@@ -125,9 +126,9 @@ def run_study(
         held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
         executed, damaged = None, []
         for _ in range(ROUNDS):
-            done = _execute(prepared, workers, scheduler, retry_failed, force, progress, table)
+            done = _execute(prepared, how, progress)
             executed = done if executed is None else executed.joined(done)
-            retry_failed = force = False
+            how = replace(how, retry_failed=False, force=False)
             verdicts, collected, found = _collect(prepared)
             damaged += found
             if not found:
@@ -262,23 +263,27 @@ def as_expected(prepared: Prepared, verdicts: list[Verdict]) -> np.ndarray:
     return good
 
 
+@dataclass(frozen=True)
+class _How:
+    """Where what is missing is run, and what counts as missing."""
+
+    workers: int
+    scheduler: str | None
+    retry_failed: bool
+    force: bool
+
+
 def _execute(
-    prepared: Prepared,
-    workers: int,
-    scheduler: str | None,
-    retry_failed: bool,
-    force: bool,
-    progress: Callable[[Progress], None] | None,
-    table: str,
+    prepared: Prepared, how: _How, progress: Callable[[Progress], None] | None
 ) -> Executed | None:
     """Run what is missing; None where nothing is, and then no worker is started."""
     plan, store = prepared.plan, prepared.store
     stored = prepared.stored()
-    if force:
+    if how.force:
         stored[:] = False
-    limits = in_force(prepared.study.limits, None if scheduler else workers)
+    limits = in_force(prepared.study.limits, None if how.scheduler else how.workers)
     failed = prepared.failed(stored, limits)
-    if retry_failed or force:
+    if how.retry_failed or how.force:
         failed[:] = False
     costs = prepared.costs()
     start = costs.start
@@ -293,15 +298,15 @@ def _execute(
             schedule,
             store,
             prepared.scene_of,
-            table=table,
-            workers=workers,
-            scheduler=scheduler,
+            table=prepared.table,
+            workers=how.workers,
+            scheduler=how.scheduler,
             limits=limits,
             progress=progress,
-            anew=force,
+            anew=how.force,
         )
     finally:
-        if scheduler:
+        if how.scheduler:
             costs.start = start  # of workers of this machine
         costs.led(peak_memory())
         with suppress(OSError):

@@ -189,10 +189,7 @@ class _Execution:
                 if seconds is not None and seconds < AHEAD_SECONDS:
                     self._send_next(address, alone_possible=False)
         if addresses and not any(self.flights.values()):
-            raise RunError(
-                f"{self.schedule.pending} stage runs wait for each other, which should not be; "
-                "what was finished is kept: run again, and report it if that does not help"
-            )
+            raise RunError(f"{self.schedule.pending} stage runs wait for each other")
 
     def _line(self, address: str) -> deque[_Flight]:
         return self.flights.setdefault(address, deque())
@@ -349,10 +346,7 @@ class _Execution:
                 self.pool.kill(address)
         if now - self.alive > LOST_FOR_GOOD:
             why = "; ".join(self.unfit.values()) or "they may not be able to start"
-            raise RunError(
-                f"no worker for {LOST_FOR_GOOD:g} s: {why}; what was finished is kept: "
-                "start workers, or free memory, and run again"
-            )
+            raise RunError(f"no worker for {LOST_FOR_GOOD:g} s: {why}")
 
     def _give_up(self, address: str) -> None:
         """End a worker that does not answer its greeting; its successor is greeted anew."""

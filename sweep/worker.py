@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from model.stages import Stage
 
 COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
-SHORT = 0.99  # share of a limit below which less than the limit was there
-OOM_SCORE = "500"  # of 1000: as if half of the machine's memory were held on top
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -114,6 +112,7 @@ def _end_with(parent: int) -> None:
 
 
 _PR_SET_PDEATHSIG = 1  # <linux/prctl.h>
+OOM_SCORE = "500"  # of 1000: as if half of the machine's memory were held on top
 
 
 def _go_first() -> None:
@@ -232,6 +231,9 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | No
     size = held.put(task.id, arrays, meta)
     _memory.put(task.id, arrays)
     return replace(spent, stored=size)
+
+
+SHORT = 0.99  # share of a limit below which less than the limit was there
 
 
 def _memory_there(limit: float | None) -> dict[str, Any]:
