@@ -107,7 +107,8 @@ def plan(options: argparse.Namespace) -> int:
     for name, unit in (("seconds", duration), ("bytes", size), ("memory", size)):
         label = {"seconds": "time", "bytes": "disk"}.get(name, name)
         more = "" if told[name] is not None else "at least "
-        print(f"expected {label}: {more}{unit(told['at_least'][name])}")
+        least = told["at_least"][name]
+        print(f"expected {label}: {'?' if more and not least else more + unit(least)}")
     if told["unknown"]:
         print(f"?: never run on this machine: {', '.join(told['unknown'])}")
     time, memory = told["limits"]["time"], told["limits"]["memory"]
