@@ -8,7 +8,7 @@ from tests.benchmarks.specimens import CEMENTS, loaded, packed
 
 LOADS: tuple[tuple[str, Bonds | None, Stress], ...] = (
     ("bonded 2:1", CEMENTS["parallel bonds"], Stress(xx=16e6, yy=8e6, method="explicit")),
-    ("unbonded 1.8:1", None, Stress(xx=14.4e6, yy=8e6)),
+    ("unbonded 2:1", None, Stress(xx=16e6, yy=8e6)),
 )
 
 
