@@ -195,9 +195,9 @@ def _advance(p, q, integral, dt, s, driven, well_source, chunk):
         right += s.near_weight[i, 3] * (p[s.near[i, 3]] - x)
         q[i] = x + dt * (left + right)
     for entry in range(s.row_start[chunk], s.row_start[chunk + 1]):
-        k = np.uint64(entry)
-        i = s.row[k]
-        q[i] += dt * s.weight[k] * (p[s.column[k]] - p[i])
+        e = np.uint64(entry)
+        i = s.row[e]
+        q[i] += dt * s.weight[e] * (p[s.column[e]] - p[i])
     for k in range(driven.start[chunk], driven.start[chunk + 1]):
         i = driven.place[k]
         q[i] += dt * (driven.source[k] - driven.weight[k] * p[i])
