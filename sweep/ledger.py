@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from sweep.errors import RunError
 from sweep.schedule import Schedule, Tally
 from sweep.stages import Status
-from sweep.store import DamagedError, Store
+from sweep.store import DamagedError, MissingError, Store
 from sweep.study import Limits
 from sweep.versions import machine
 from sweep.worker import Outcome
@@ -95,8 +96,12 @@ class Ledger:
     def find_stored(self, run: int) -> None:
         """Count a run as done whose worker stored its product and died before it said so."""
         found = None if self.schedule.is_done(run) else self._product_file(run)
-        if found is not None and found != self._old.get(run):
-            self._done(run)
+        if found is None or found == self._old.get(run):
+            return
+        identity = self.plan.runs[run].id
+        with suppress(MissingError, DamagedError):  # then it is computed again
+            seconds = self.store.meta(identity)["seconds"]
+            self._done(run, seconds, self.store.path(identity).stat().st_size)
 
     def convict(self, run: int, status: Status, message: str) -> None:
         """Fail a run that cannot speak for itself."""

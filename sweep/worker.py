@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from model.stages import Stage
 
 COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
+JOB_SECONDS = 0.2  # s after which a job begins no further task
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -124,9 +125,11 @@ def _go_first() -> None:
 def run_job(job: Job) -> list[Outcome]:
     """Run the tasks of a job in turn; return how each of them ended.
 
-    A task whose parent failed in the same job is left out of the answer. Raises OSError
-    where the store cannot be written.
+    A task whose parent failed in the same job is left out of the answer, and so are the rest
+    once the job has taken `JOB_SECONDS`: they were expected to take no time, and what is
+    finished must not wait for them unstored. Raises OSError where the store cannot be written.
     """
+    begin = time.monotonic()
     stages = {stage.name: stage for stage in stage_table(job.table)}
     held = _Held(Store(Path(job.store)) if job.store is not None else None, job.files)
     outcomes: list[Outcome] = []
@@ -142,6 +145,8 @@ def run_job(job: Job) -> list[Outcome]:
         if held.store is None and task.id in held.made:
             outcome = replace(outcome, file=held.made[task.id][1])
         outcomes.append(outcome)
+        if time.monotonic() - begin > JOB_SECONDS:
+            break
     if held.store is not None:
         held.store.keep(held.made)
     return outcomes
@@ -150,8 +155,8 @@ def run_job(job: Job) -> list[Outcome]:
 class _Held:
     """What a job made so far, before the store or what came with the job.
 
-    It is stored when the job ends: a job is one run, or some that take a moment together,
-    and one flush serves them all.
+    It is stored when the job ends, a moment after it began or with its first longer run: one
+    flush serves all that was made.
     """
 
     def __init__(self, store: Store | None, files: Mapping[str, bytes]):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import threading
+import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -245,6 +246,39 @@ def test_workers_killed_from_outside_cost_no_case(tmp_path):
     for name, variable in open_results(finished.folder).data_vars.items():
         if name not in SWEEP:
             assert variable.identical(undisturbed[name])
+
+
+def test_what_had_finished_when_its_worker_was_killed_is_stored_and_never_runs_again(
+    tmp_path, monkeypatch
+):
+    diary, short, long = tmp_path / "diary", 20, 4
+    monkeypatch.setenv(toy_stages.DIARY, str(diary))
+    rates = [float(k) for k in range(1, short + 1)]
+    rates += [toy_stages.LONG + k for k in range(long)]  # nothing foretells them
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=tuple(rates), seconds=1e-3)
+    third = f"1 {rates[short + 2]:g}"
+    kept = []
+
+    def kill() -> None:
+        while not toy_stages.noted(diary, "begins")[third]:
+            time.sleep(0.02)
+        for process in psutil.Process().children():
+            if "spawn_main" in " ".join(process.cmdline()):
+                process.kill()
+        prepared = toys.prepared(path, tmp_path / "results")
+        kept.extend(run for run in prepared.plan.runs if prepared.store.has(run.id))
+
+    killer = threading.Thread(target=kill)
+    killer.start()
+    finished = toys.run(path, tmp_path / "results", workers=1)
+    killer.join()
+    assert (finished.failed, finished.executed.deaths) == (0, 1)
+    flows = [run for run in kept if run.kind.stage == "flow"]
+    assert len(flows) == short + 2
+    assert set(toy_stages.noted(diary, "ends").values()) == {1}
+    assert [flow for flow, times in toy_stages.noted(diary, "begins").items() if times > 1] == [
+        third
+    ]
 
 
 def test_a_running_scheduler_can_be_used(tmp_path):

@@ -59,11 +59,12 @@ def test_what_a_dead_worker_stored_counts_but_not_what_lay_there_before(made):
     store(made, 0)
     ledger = ledger_of(made)
     ledger.note_old_products()
-    store(made, 1)
+    store(made, 1, seconds=3.0)
     for run in (0, 1, 2):
         ledger.find_stored(run)
     assert [ledger.schedule.is_done(run) for run in range(3)] == [False, True, False]
     assert ledger.report.computed == 1
+    assert ledger.schedule.costs.seconds(made.plan.runs[1].kind) == 3.0
 
 
 def test_a_conviction_is_recorded_with_its_limits_and_blocks_what_follows(made):

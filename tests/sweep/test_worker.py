@@ -22,8 +22,8 @@ def store(tmp_path, monkeypatch):
     return Store.open(tmp_path / "store")
 
 
-def tasks(rate: float = 1.0) -> tuple[Task, ...]:
-    flow = {"rate": rate, "viscosity": 0.0, "times": (1.0, 2.0)}
+def tasks(rate: float = 1.0, seconds: float = 0.0) -> tuple[Task, ...]:
+    flow = {"rate": rate, "viscosity": seconds, "times": (1.0, 2.0)}
     return (
         Task(0, IDS["pack"], "pack", {"count": 5, "seed": 1}, ()),
         Task(1, IDS["flow"], "flow", flow, (IDS["pack"], None)),
@@ -47,6 +47,12 @@ def test_a_bundle_runs_in_turn_and_stores_each_product(store):
         assert meta["seconds"] == outcome.seconds
         assert outcome.stored == store.path(identity).stat().st_size
         assert meta["versions"]["numpy"] == np.__version__
+
+
+def test_a_job_that_takes_longer_than_a_moment_ends_and_stores_what_it_has(store):
+    outcomes = run(store, *tasks(seconds=worker.JOB_SECONDS + 0.05))
+    assert [o.run for o in outcomes] == [0, 1]
+    assert [store.has(identity) for identity in IDS.values()] == [True, True, False]
 
 
 def test_compiling_is_left_out_of_the_time_of_a_stage(store):

@@ -1,6 +1,8 @@
 """A table of stages of a few lines, which can also do all that a stage must not do.
 
 The rate of the well says how `flow` behaves, the viscosity how long it takes in seconds.
+Where the environment names a file, `flow` writes a line there whenever it begins and ends,
+so that it shows what was really executed, and how often.
 """
 
 from __future__ import annotations
@@ -9,6 +11,8 @@ import ctypes
 import os
 import signal
 import time
+from collections import Counter
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,6 +27,8 @@ SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
 NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
 COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.5
+LONG, LONG_SECONDS = 1e5, 0.6  # rates from which on a flow takes longer than the others
+DIARY = "DEMFLOW_TOY_DIARY"  # of the environment: the file of what was executed
 
 
 class Packed(NamedTuple):
@@ -51,6 +57,7 @@ def stress(packed: Packed, *, stress: Any) -> Loaded:
 def flow(
     packed: Packed, loaded: Loaded | None, *, rate: float, viscosity: float, times: Any
 ) -> Flowed:
+    _note("begins", packed, rate)
     if rate == RAISES:
         raise ModelError("the well is dry; try a smaller rate")
     if rate == DIES:
@@ -77,9 +84,22 @@ def flow(
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs
         ctypes.PyDLL(None).sleep(3600)
-    time.sleep(viscosity)
+    time.sleep(LONG_SECONDS if rate >= LONG else viscosity)
+    _note("ends", packed, rate)
     base = packed.x.mean() + (0.0 if loaded is None else loaded.force.mean())
     return Flowed(base + rate * np.log1p(np.asarray(times)))
+
+
+def _note(what: str, packed: Packed, rate: float) -> None:
+    if path := os.environ.get(DIARY):
+        with open(path, "ab", buffering=0) as file:  # one line at a time, whoever else writes
+            file.write(f"{what} {int(packed.seed)} {rate:g}\n".encode())
+
+
+def noted(diary: Path, what: str) -> Counter[str]:
+    """How often each flow, by seed and rate, `begins` or `ends` in a diary."""
+    lines = diary.read_text().splitlines() if diary.exists() else []
+    return Counter(line.partition(" ")[2] for line in lines if line.startswith(what))
 
 
 def observe(packed: Packed, loaded: Loaded | None, flowed: Flowed) -> dict[str, np.ndarray]:
