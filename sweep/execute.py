@@ -14,6 +14,7 @@ import uuid
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import CancelledError
+from concurrent.futures import Future as Answer
 from contextlib import suppress
 from dataclasses import dataclass
 from queue import Empty, SimpleQueue
@@ -48,7 +49,6 @@ COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts
 HEARD_SECONDS = 20.0  # s that the first stage run waits for all workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
 GREETINGS = 3  # workers that may fail to answer in one run
-ANSWER_SECONDS = 0.5  # s to fetch an answer before looking after other things
 
 
 def execute(
@@ -106,7 +106,8 @@ class _Flight:
 
     bundle: Bundle
     future: Future
-    begin: float  # when it became the first on its worker; later by what was compiled since
+    begin: float  # when its worker came to it; later by what was compiled since
+    answer: Answer[Any] | None = None  # which is on its way from when the worker has ended it
 
 
 class _Execution:
@@ -132,7 +133,6 @@ class _Execution:
         self.events: SimpleQueue[tuple[str, _Flight | float | None]] = SimpleQueue()
         self.compiling: dict[str, float] = {}  # workers that compile kernels, since when
         pool.listen(COMPILING, lambda worker, told: self.events.put((worker, told["seconds"])))
-        self.unanswered: list[tuple[str, _Flight]] = []  # answers that wait on their worker
         self.submitted = 0
         self.started = False  # whether a stage run was handed out
         self.begin, self.alive = begin, time.monotonic()
@@ -149,9 +149,6 @@ class _Execution:
                         self._hear(*self.events.get_nowait())
                 now = time.monotonic()
                 if now - looked > TICK:
-                    again, self.unanswered = self.unanswered, []
-                    for waiting in again:
-                        self._take_in(*waiting)
                     self._look()
                     looked = now
                 if self.progress and now - shown > TICK:
@@ -193,6 +190,10 @@ class _Execution:
 
     def _line(self, address: str) -> deque[_Flight]:
         return self.flights.setdefault(address, deque())
+
+    def _at(self, address: str) -> _Flight | None:
+        """What a worker is at; what it has ended may still be on its way."""
+        return next((flight for flight in self._line(address) if flight.answer is None), None)
 
     def _greet(self, address: str) -> None:
         """Have a new worker import the stages and say which versions it runs."""
@@ -242,29 +243,32 @@ class _Execution:
             self._take_in(address, event)
         elif event is None:
             self.compiling[address] = time.monotonic()
-        elif self.compiling.pop(address, None) is not None and (line := self._line(address)):
-            line[0].begin += event
+        elif self.compiling.pop(address, None) is not None and (at := self._at(address)):
+            at.begin += event
 
     def _take_in(self, address: str, flight: _Flight) -> None:
         line = self._line(address)
         if flight not in line:
             return  # it was settled when its worker died
         if flight.future.status == "finished":
-            answer = self._answer(flight)
-            if answer is None and address in self.pool.addresses():
-                self.unanswered.append((address, flight))  # asked for again, after other things
+            if flight.answer is None:
+                self._fetch(address, flight)
+                if (at := self._at(address)) is not None:
+                    at.begin = time.monotonic()
                 return
-        else:
-            answer = None
-        if answer is not None:
-            line.remove(flight)
-            if line:
-                line[0].begin = time.monotonic()
-            if flight.bundle.runs:
-                self._settle(address, flight, answer)
+            try:
+                answer = flight.answer.result()
+            except (CancelledError, OSError):
+                if address in self.pool.addresses():
+                    self._fetch(address, flight)
+                    return
             else:
-                self._meet(address, answer)
-            return
+                line.remove(flight)
+                if flight.bundle.runs:
+                    self._settle(address, flight, answer)
+                else:
+                    self._meet(address, answer)
+                return
         error = None
         if flight.future.status == "error":
             error = flight.future.exception()
@@ -282,14 +286,13 @@ class _Execution:
         else:
             raise RunError(f"a worker broke: {type(error).__name__}: {error}") from error
 
-    def _answer(self, flight: _Flight) -> Any:
-        """What a worker answered; None while it is on its way, or lost.
+    def _fetch(self, address: str, flight: _Flight) -> None:
+        """Have an answer brought here, which takes as long as it takes.
 
         A worker gives it away itself, which it cannot while a stage keeps it from all else.
         """
-        with suppress(KilledWorker, CancelledError, OSError):  # a TimeoutError is an OSError
-            return flight.future.result(timeout=ANSWER_SECONDS)
-        return None
+        flight.answer = self.pool.fetch(flight.future)
+        flight.answer.add_done_callback(lambda _: self.events.put((address, flight)))
 
     def _settle(self, address: str, flight: _Flight, outcomes: list[Outcome]) -> None:
         if not (self.pool.shares_store or self.ledger.accept(outcomes)):
@@ -328,6 +331,8 @@ class _Execution:
             )
         for flight in line:
             flight.future.cancel()
+            if flight.answer is not None:
+                flight.answer.cancel()
 
     def _look(self) -> None:
         """End what takes too much, and find workers that went without a word."""
@@ -336,12 +341,15 @@ class _Execution:
         for address, line in list(self.flights.items()):
             if not line:
                 continue
+            at = self._at(address)
             if address not in addresses:
                 self._bury(address)
-            elif not line[0].bundle.runs:
-                if now - line[0].begin > GREETING_SECONDS:
+            elif at is None:
+                continue
+            elif not at.bundle.runs:
+                if now - at.begin > GREETING_SECONDS:
                     self._give_up(address)
-            elif verdict := self._excess(address, line[0].bundle, now - line[0].begin):
+            elif verdict := self._excess(address, at.bundle, now - at.begin):
                 self._bury(address, verdict)
                 self.pool.kill(address)
         if now - self.alive > LOST_FOR_GOOD:

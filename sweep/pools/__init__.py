@@ -6,14 +6,18 @@ them, carries one job at a time to a worker of its choice, and ends it when told
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future as Answer
 from contextlib import contextmanager
 from typing import Any
 
 from distributed import Client, Future
+
+FETCH_AGAIN_SECONDS = 0.2  # s before an answer that could not be had is asked for again
 
 _LOOPS = (
     "asyncio",
@@ -80,7 +84,26 @@ class Pool(ABC):
             retries=0,
         )
 
+    def fetch(self, finished: Future) -> Answer[Any]:
+        """Have the answer of a call that has ended brought here, however long that takes.
+
+        Each by itself: Dask's own `gather` joins requests, and the answer of a worker that
+        hangs in its next job would hold up those of others. The answer raises OSError where
+        the worker does not give it.
+        """
+        client: Any = self.client
+        bringing = _bring(client.scheduler, finished.key)
+        return asyncio.run_coroutine_threadsafe(bringing, client.loop.asyncio_loop)
+
     def listen(self, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
         """Have a function called with the address and words of workers that tell something."""
         # the scheduler adds who said it
         self.client.subscribe_topic(topic, lambda event: heard(event[1]["worker"], event[1]))
+
+
+async def _bring(scheduler: Any, key: Any) -> Any:
+    told = await scheduler.gather(keys=[key])
+    if told["status"] != "OK":
+        await asyncio.sleep(FETCH_AGAIN_SECONDS)
+        raise OSError(f"no worker gives {key}")
+    return told["data"][key]

@@ -73,6 +73,15 @@ def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
     same_bits_though_a_worker_is_killed(tmp_path, run, workers[0])
 
 
+@pytest.mark.parametrize("rate", [toy_stages.ANSWERS_SLOWLY, toy_stages.DIES_ANSWERING])
+def test_an_answer_that_takes_long_to_come_is_waited_for(tmp_path, rate):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, rate, 2.0))
+    with dask_cluster(tmp_path / "processes", workers=1) as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    assert (finished.failed, finished.executed.computed) == (0, 8)
+    assert finished.executed.deaths == (rate == toy_stages.DIES_ANSWERING)
+
+
 def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
     made = certificate(tmp_path)
     with dask_cluster(tmp_path / "processes", certificate=made) as cluster:

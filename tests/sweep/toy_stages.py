@@ -7,6 +7,7 @@ so that it shows what was really executed, and how often.
 
 from __future__ import annotations
 
+import asyncio
 import ctypes
 import os
 import signal
@@ -28,6 +29,7 @@ RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6
 NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
 COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.5
 LONG, LONG_SECONDS = 1e5, 0.6  # rates from which on a flow takes longer than the others
+ANSWERS_SLOWLY, DIES_ANSWERING, ANSWER_SECONDS = -12.0, -13.0, 1.0
 DIARY = "DEMFLOW_TOY_DIARY"  # of the environment: the file of what was executed
 
 
@@ -80,6 +82,8 @@ def flow(
                 time.sleep(COMPILING_SECONDS)
         if rate == COMPILES_AND_HANGS:
             time.sleep(3600)
+    if rate in (ANSWERS_SLOWLY, DIES_ANSWERING):
+        _answer_slowly(dies=rate == DIES_ANSWERING)
     if rate == NO_NUMBER:
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs
@@ -88,6 +92,24 @@ def flow(
     _note("ends", packed, rate)
     base = packed.x.mean() + (0.0 if loaded is None else loaded.force.mean())
     return Flowed(base + rate * np.log1p(np.asarray(times)))
+
+
+def _answer_slowly(dies: bool) -> None:
+    """Have this worker take its time to give an answer away; or, the first time, die of it."""
+    from distributed import get_worker  # only in a worker: runs without any start without Dask
+
+    worker = get_worker()
+    give = worker.handlers["get_data"]
+    died = Path("died")  # in the worker's own folder, which its nanny gives to its successor
+
+    async def slowly(comm: Any, **options: Any) -> Any:
+        await asyncio.sleep(ANSWER_SECONDS)
+        if dies and not died.exists():
+            died.touch()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return await give(comm, **options)
+
+    worker.handlers["get_data"] = slowly
 
 
 def _note(what: str, packed: Packed, rate: float) -> None:
