@@ -301,8 +301,12 @@ class _Execution:
         for outcome in outcomes:
             if outcome.lost is None:
                 self.ledger.enter(outcome)
-            elif not self.jobs.send_again(address, outcome.lost):
+                if outcome.status is Status.DONE:
+                    self.jobs.made(address, outcome.run)
+            elif self.pool.shares_store:
                 self.ledger.lost(outcome.run, outcome.lost, outcome.message)
+            else:
+                self.jobs.send_whole(address, outcome.run, outcome.message)
         self.schedule.again(flight.bundle.runs)
 
     def _bury(self, address: str, verdict: Excess | None = None) -> None:

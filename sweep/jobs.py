@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from sweep.errors import RunError
 from sweep.plan import Plan
 from sweep.store import DamagedError, MissingError, Store
 from sweep.worker import Job, Task
 
 if TYPE_CHECKING:
     from model.scene import Scene
+
+
+LOST_AGAIN = 3  # times that a worker may lose parents that came with the very job
 
 
 class ParentLostError(Exception):
@@ -44,7 +48,9 @@ class Jobs:
     ):
         self.plan, self.store, self.scene_of = plan, store, scene_of
         self.table, self.memory, self.travel = table, memory, travel
-        self._held: dict[str, set[str]] = {}  # products that a worker without a store was sent
+        # products that a worker without a store made or was sent
+        self._held: dict[str, set[str]] = {}
+        self._lost: dict[int, int] = {}  # how often a worker held a run's parents no more
 
     def make(self, address: str, runs: tuple[int, ...]) -> Job:
         """The job of some runs for a worker. Raises ParentLostError."""
@@ -53,15 +59,24 @@ class Jobs:
             return Job(str(self.store.root.resolve()), self.table, tasks, memory=self.memory)
         return Job(None, self.table, tasks, self._files_for(address, tasks), self.memory)
 
-    def send_again(self, address: str, identity: str) -> bool:
-        """Have a product go along the next time; False where the worker was not sent it.
+    def made(self, address: str, run: int) -> None:
+        """A worker made the product of a run."""
+        self._held.setdefault(address, set()).add(self.plan.runs[run].id)
 
-        A worker drops what it has not used for long, and then says that it lost it.
+    def send_whole(self, address: str, run: int, message: str) -> None:
+        """Have all parents of a run go along the next time, whatever its worker was sent.
+
+        A worker drops what it has not used for long, and then says that it lost it; one
+        parent alone might put out another. Raises RunError where this does not help.
         """
+        self._lost[run] = self._lost.get(run, 0) + 1
+        if self._lost[run] > LOST_AGAIN:
+            raise RunError(
+                f"the worker {address} misses a product again and again, though it was sent: "
+                f"{message}"
+            )
         held = self._held.get(address, set())
-        known = identity in held
-        held.discard(identity)
-        return known
+        held.difference_update(self._task(run).parents)
 
     def forget(self, address: str) -> None:
         """A worker holds nothing any more."""
@@ -75,13 +90,14 @@ class Jobs:
         return Task(run, entry.id, stage.name, reads, parents)
 
     def _files_for(self, address: str, tasks: tuple[Task, ...]) -> dict[str, bytes]:
-        """Parents that a worker has not been sent yet."""
+        """Parents that a worker does not make in this very job, nor was sent before."""
         held = self._held.setdefault(address, set())
-        held.update(task.id for task in tasks)
+        own = {task.id for task in tasks}
         files: dict[str, bytes] = {}
         for task in tasks:
+            here = own if task.run in self._lost else own | held
             for parent in task.parents:
-                if parent is None or parent in held:
+                if parent is None or parent in here or parent in files:
                     continue
                 try:
                     files[parent] = self.store.content(parent)

@@ -131,7 +131,7 @@ def run_job(job: Job) -> list[Outcome]:
     """
     begin = time.monotonic()
     stages = {stage.name: stage for stage in stage_table(job.table)}
-    held = _Held(Store(Path(job.store)) if job.store is not None else None, job.files)
+    held = _Held(job)
     outcomes: list[Outcome] = []
     failed: set[str] = set()
     for task in job.tasks:
@@ -155,12 +155,18 @@ def run_job(job: Job) -> list[Outcome]:
 class _Held:
     """What a job made so far, before the store or what came with the job.
 
+    Parents that lie in memory when it begins stay at hand until it ends, though what it
+    loads and makes meanwhile may put them out there: its sender counts on them.
+
     It is stored when the job ends, a moment after it began or with its first longer run: one
     flush serves all that was made.
     """
 
-    def __init__(self, store: Store | None, files: Mapping[str, bytes]):
-        self.store, self.files = store, files
+    def __init__(self, job: Job):
+        self.store = Store(Path(job.store)) if job.store is not None else None
+        self.files = job.files
+        parents = {identity for task in job.tasks for identity in task.parents if identity}
+        self.at_hand = {i: arrays for i in parents if (arrays := _memory.get(i)) is not None}
         self.made: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity
 
     def get(self, identity: str) -> Stored:
@@ -311,7 +317,9 @@ _memory = _Memory(CACHE_BYTES)
 
 
 def _load(held: _Held, identity: str) -> Mapping[str, np.ndarray]:
-    arrays = _memory.get(identity)
+    arrays = held.at_hand.get(identity)
+    if arrays is None:
+        arrays = _memory.get(identity)
     if arrays is None:
         arrays = held.get(identity).arrays
         _memory.put(identity, arrays)

@@ -82,6 +82,14 @@ def test_an_answer_that_takes_long_to_come_is_waited_for(tmp_path, rate):
     assert finished.executed.deaths == (rate == toy_stages.DIES_ANSWERING)
 
 
+def test_parents_that_are_too_large_together_for_a_workers_memory_reach_it(tmp_path):
+    rates = (1.0, toy_stages.FORGETS, *map(float, range(2, 12)))
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(5e6,), rates=rates)
+    with dask_cluster(tmp_path / "processes", workers=1) as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    assert (finished.failed, finished.executed.computed) == (0, 2 + 2 * len(rates))
+
+
 def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
     made = certificate(tmp_path)
     with dask_cluster(tmp_path / "processes", certificate=made) as cluster:

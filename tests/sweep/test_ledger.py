@@ -5,14 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from sweep import worker
 from sweep.errors import RunError
-from sweep.jobs import Jobs, ParentLostError
+from sweep.jobs import LOST_AGAIN, Jobs, ParentLostError
 from sweep.ledger import LOST_PRODUCTS, Ledger
 from sweep.limits import Judge
 from sweep.schedule import Schedule
 from sweep.stages import Status
 from sweep.study import Limits
-from sweep.worker import Outcome
+from sweep.worker import Outcome, run_job
 from tests.sweep import toys
 from tests.sweep.stored import put
 
@@ -95,6 +96,41 @@ def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
     assert Judge(made.plan, made.store, UNLIMITED).of_time([2], 1e9) is None
 
 
+def test_what_a_worker_elsewhere_was_to_make_is_not_taken_as_there(made):
+    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
+    packing = made.plan.runs[0].id
+    assert list(jobs.make("a", (0, 1)).files) == []  # it makes the packing itself
+    store(made, 0)
+    assert list(jobs.make("a", (1,)).files) == [packing]  # the worker ended before that
+    jobs.made("b", 0)
+    assert list(jobs.make("b", (1,)).files) == []
+
+
+def test_parents_that_are_too_large_together_for_a_workers_memory_reach_it(made, monkeypatch):
+    for run in (0, 1):
+        run_job(
+            Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, False).make("", (run,))
+        )
+    packing = sum(array.nbytes for array in made.store.get(made.plan.runs[0].id).arrays.values())
+    monkeypatch.setattr(worker, "_memory", worker._Memory(packing + 8))
+    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
+    lost = []
+    for _ in range(4):
+        outcome = run_job(jobs.make("a", (2,)))[0]
+        if outcome.lost:
+            jobs.send_whole("a", 2, outcome.message)
+        lost.append(bool(outcome.lost))
+    assert lost == [False, True, False, False]
+
+
+def test_a_worker_that_loses_what_came_with_the_job_ends_the_run(made):
+    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
+    for _ in range(LOST_AGAIN):
+        jobs.send_whole("a", 2, "gone")
+    with pytest.raises(RunError, match="again and again, though it was sent: gone"):
+        jobs.send_whole("a", 2, "gone")
+
+
 def test_a_worker_elsewhere_is_sent_a_parent_once_and_again_when_it_lost_it(made):
     store(made, 0)
     jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
@@ -102,8 +138,7 @@ def test_a_worker_elsewhere_is_sent_a_parent_once_and_again_when_it_lost_it(made
     assert list(jobs.make("a", (1,)).files) == [packing]
     assert list(jobs.make("a", (1,)).files) == []
     assert list(jobs.make("b", (1,)).files) == [packing]
-    assert jobs.send_again("a", packing)
-    assert not jobs.send_again("a", packing)  # it was not sent it since: the store lost it
+    jobs.send_whole("a", 1, "lost")
     assert list(jobs.make("a", (1,)).files) == [packing]
     jobs.forget("a")
     made.store.path(packing).unlink()

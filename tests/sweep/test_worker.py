@@ -10,6 +10,7 @@ import pytest
 from sweep import worker
 from sweep.stages import Status
 from sweep.store import Store
+from sweep.store import pack as packed_file
 from sweep.worker import Job, Task, run_job
 from tests.sweep import toy_stages, toys
 
@@ -20,6 +21,11 @@ IDS = {name: f"{k}{k}" + "0" * 62 for k, name in enumerate(("pack", "flow", "obs
 def store(tmp_path, monkeypatch):
     monkeypatch.setattr(worker, "_memory", worker._Memory(worker.CACHE_BYTES))
     return Store.open(tmp_path / "store")
+
+
+def store_pack(seed: int, identity: str) -> bytes:
+    """The file of a packing."""
+    return packed_file(toy_stages.pack(count=5, seed=seed)._asdict(), {"id": identity})
 
 
 def tasks(rate: float = 1.0, seconds: float = 0.0) -> tuple[Task, ...]:
@@ -114,6 +120,17 @@ def test_memory_is_bounded_and_keeps_what_was_used_last():
     memory.put("large", {"x": np.zeros(100)})
     assert memory.get("large") is None
     assert memory.size == 240
+
+
+def test_parents_in_memory_stay_at_hand_until_the_job_ends(store, monkeypatch):
+    pack, flow, observe = tasks()
+    other = flow._replace(id="ff" + "0" * 62, parents=("ee" + "0" * 62, None))
+    files = {other.parents[0]: store_pack(seed=2, identity=other.parents[0])}
+    run_job(Job(None, toys.TABLE, (pack, flow)))
+    monkeypatch.setattr(worker._memory, "limit", worker._memory.size)  # the next puts one out
+    outcomes = run_job(Job(None, toys.TABLE, (other, observe), files))
+    assert [o.status for o in outcomes] == [Status.DONE] * 2
+    assert worker._memory.get(IDS["pack"]) is None
 
 
 def test_what_would_not_fit_is_foreseen(store):

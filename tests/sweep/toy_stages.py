@@ -11,6 +11,7 @@ import asyncio
 import ctypes
 import os
 import signal
+import sys
 import time
 from collections import Counter
 from pathlib import Path
@@ -30,6 +31,7 @@ NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
 COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.5
 LONG, LONG_SECONDS = 1e5, 0.6  # rates from which on a flow takes longer than the others
 ANSWERS_SLOWLY, DIES_ANSWERING, ANSWER_SECONDS = -12.0, -13.0, 1.0
+FORGETS, LITTLE_MEMORY = -14.0, 410  # bytes: a packing of 50 grains, but no stress beside it
 DIARY = "DEMFLOW_TOY_DIARY"  # of the environment: the file of what was executed
 
 
@@ -84,6 +86,8 @@ def flow(
             time.sleep(3600)
     if rate in (ANSWERS_SLOWLY, DIES_ANSWERING):
         _answer_slowly(dies=rate == DIES_ANSWERING)
+    if rate == FORGETS:
+        vars(sys.modules["sweep.worker"])["_memory"].limit = LITTLE_MEMORY
     if rate == NO_NUMBER:
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs
