@@ -35,7 +35,7 @@ from sweep.signals import signals_noted, uninterrupted
 from sweep.stages import MODEL, Status
 from sweep.store import Store
 from sweep.study import Limits
-from sweep.versions import NUMERICAL, versions
+from sweep.versions import agreed
 from sweep.worker import COMPILING, Greeting, Outcome, introduce, run_job
 
 if TYPE_CHECKING:
@@ -43,10 +43,11 @@ if TYPE_CHECKING:
 
 TICK = 0.2  # s between looks at times, memory and living workers
 AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
-LOST_FOR_GOOD = 60.0  # s without any worker before the run gives up
+WAITING_SECONDS = 2.0  # s without any worker before that is told
+UNFIT_SECONDS = 60.0  # s for which workers that cannot be used are all there are
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
 COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
-HEARD_SECONDS = 20.0  # s that the first stage run waits for all workers to be heard
+HEARD_SECONDS = 20.0  # s that the first stage run waits for other workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
 GREETINGS = 3  # workers that may fail to answer in one run
 
@@ -136,6 +137,8 @@ class _Execution:
         self.submitted = 0
         self.started = False  # whether a stage run was handed out
         self.begin, self.alive = begin, time.monotonic()
+        self.own = agreed()
+        self.first: float | None = None  # when the first worker was met
 
     def loop(self) -> None:
         """Hand out, wait, take in, until nothing is left to do or a signal ends it."""
@@ -171,8 +174,9 @@ class _Execution:
         addresses -= self.unfit.keys()
         if addresses:
             self.alive = now
+            self.first = self.first or now
         greeted = {a for a in addresses if (line := self._line(a)) and not line[0].bundle.runs}
-        if greeted and not self.started and now - self.begin < HEARD_SECONDS:
+        if greeted and not self.started and self.first and now - self.first < HEARD_SECONDS:
             return  # before the first stage run, all workers are heard
         addresses = addresses - greeted
         # first whoever has nothing to do, then whoever soon will have nothing
@@ -201,10 +205,9 @@ class _Execution:
         self._submit(address, Bundle((), False, 0.0), introduce, greeting)
 
     def _meet(self, address: str, found: dict[str, str]) -> None:
-        own = versions()
-        other = [name for name in ("demflow", *NUMERICAL) if found.get(name) != own[name]]
+        other = [name for name, own in self.own.items() if found.get(name) != own]
         if other:
-            listed = ", ".join(f"{n} {found.get(n)} (here {own[n]})" for n in other)
+            listed = ", ".join(f"{n} {found.get(n)} (here {self.own[n]})" for n in other)
             self._refuse(address, f"the worker {address} has {listed}; give all the same versions")
 
     def _refuse(self, address: str, why: str) -> None:
@@ -356,9 +359,15 @@ class _Execution:
             elif verdict := self._excess(address, at.bundle, now - at.begin):
                 self._bury(address, verdict)
                 self.pool.kill(address)
-        if now - self.alive > LOST_FOR_GOOD:
-            why = "; ".join(self.unfit.values()) or "they may not be able to start"
-            raise RunError(f"no worker for {LOST_FOR_GOOD:g} s: {why}")
+        if now - self.alive > UNFIT_SECONDS and (why := self.unfit.keys() & addresses):
+            told = "; ".join(self.unfit[address] for address in sorted(why))
+            raise RunError(f"no worker that can be used for {UNFIT_SECONDS:g} s: {told}")
+        if now - self.alive > self.pool.patience:
+            raise RunError(
+                f"no worker process for {self.pool.patience:g} s, though others were started; "
+                "most often memory runs out: try fewer workers, or close other programs. "
+                "What was finished is kept"
+            )
 
     def _give_up(self, address: str) -> None:
         """End a worker that does not answer its greeting; its successor is greeted anew."""
@@ -382,5 +391,6 @@ class _Execution:
             workers = len(self.pool.addresses())
             tally, left = self.ledger.tally, self.schedule.seconds_left(workers)
             cases = len(self.ledger.plan.cases)
-            compiling = bool(self.compiling)
-            self.progress(Progress(cases, tally.done, tally.failed, left, compiling))
+            compiling, without = bool(self.compiling), time.monotonic() - self.alive
+            waiting = without if without > WAITING_SECONDS else 0.0
+            self.progress(Progress(cases, tally.done, tally.failed, left, compiling, waiting))

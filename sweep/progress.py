@@ -16,6 +16,7 @@ class Progress(NamedTuple):
     failed: int
     seconds_left: float | None  # None while nothing is known of the stages to come
     compiling: bool = False  # whether some worker compiles kernels
+    waiting: float = 0.0  # s since there was a worker; 0 while there is one
 
     @property
     def left(self) -> int:
@@ -72,6 +73,8 @@ def line(progress: Progress) -> str:
     )
     if not progress.left:
         return told
+    if progress.waiting:
+        return f"{told}, no worker for {duration(progress.waiting)}: waiting"
     if progress.compiling:
         return f"{told}, compiling: once on this machine"
     if progress.seconds_left is None:

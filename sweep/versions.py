@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import platform
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
 
 NUMERICAL = ("numpy", "scipy", "numba", "qdldl")
 
@@ -22,6 +24,24 @@ def versions() -> dict[str, str]:
     """Return the versions of Python, demflow and the numerical libraries, by name."""
     found = {"python": platform.python_version()}
     return found | {name: installed(name) for name in ("demflow", *NUMERICAL)}
+
+
+@cache
+def agreed() -> dict[str, str]:
+    """Return what must be the same wherever a study runs: versions, and the sources of demflow.
+
+    Two states of a checkout under development bear one version.
+    """
+    found = versions() | {"python": ".".join(platform.python_version_tuple()[:2])}
+    return found | {"sources": _sources()[:12]}
+
+
+def _sources() -> str:
+    """SHA-256 of the sources of the model and of the sweep."""
+    digest, root = hashlib.sha256(), Path(__file__).parents[1]
+    for source in sorted(p for part in ("model", "sweep") for p in (root / part).rglob("*.py")):
+        digest.update(f"{source.relative_to(root)}\n".encode() + source.read_bytes())
+    return digest.hexdigest()
 
 
 @cache

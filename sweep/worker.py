@@ -34,7 +34,7 @@ from model.quantities import CASE
 from sweep.memory import available, peak_memory, resident_memory
 from sweep.stages import Status, stage_table
 from sweep.store import DamagedError, MissingError, Store, Stored, canonical, pack, unpack
-from sweep.versions import machine, versions
+from sweep.versions import agreed, machine, versions
 
 if TYPE_CHECKING:
     from model.stages import Stage
@@ -89,7 +89,7 @@ class Greeting(NamedTuple):
 
 
 def introduce(greeting: Greeting) -> dict[str, str]:
-    """Import the stages, which is no stage's time, and return the versions of this worker."""
+    """Import the stages, which is no stage's time, and return what this worker must agree in."""
     if greeting.parent is not None:
         _end_with(greeting.parent)
         _go_first()
@@ -97,7 +97,7 @@ def introduce(greeting: Greeting) -> dict[str, str]:
     compilation.listener = lambda seconds: worker.log_event(COMPILING, {"seconds": seconds})
     for stage in stage_table(greeting.table):
         _ = stage.run
-    return versions()
+    return agreed()
 
 
 def _end_with(parent: int) -> None:

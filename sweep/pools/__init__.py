@@ -48,6 +48,7 @@ class Pool(ABC):
 
     client: Client
     shares_store: bool  # whether they see the client's store; products travel otherwise
+    patience: float  # s without any worker before a run gives up
     parent: int | None  # process with which they end; None: they were there before
 
     @abstractmethod

@@ -38,6 +38,7 @@ class LocalPool(Pool):
     """Worker processes of this machine, listening on the loopback alone."""
 
     shares_store = True
+    patience = 60.0
 
     def __init__(self, workers: int):
         self.parent: int | None = os.getpid()

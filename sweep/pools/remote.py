@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from concurrent.futures import CancelledError
@@ -23,6 +24,7 @@ class RemotePool(Pool):
     """Workers of a Dask cluster that runs already, wherever they are."""
 
     shares_store = False
+    patience = math.inf  # they may stand in a queue
     parent: int | None = None
 
     def __init__(self, scheduler: str):
@@ -49,14 +51,19 @@ class RemotePool(Pool):
         return set(self._look())
 
     def unfit(self, address: str) -> str | None:
-        """Why a worker must not be sent a job: it has many threads."""
-        threads = self._look().get(address, {}).get("nthreads", 1)
-        if threads == 1:
-            return None
-        return (
-            f"the worker {address} has {threads} threads; "
-            "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
-        )
+        """Why a worker must not be sent a job: it has many threads, or nobody to end it."""
+        worker = self._look().get(address, {})
+        if (threads := worker.get("nthreads", 1)) != 1:
+            return (
+                f"the worker {address} has {threads} threads; "
+                "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
+            )
+        if worker and worker.get("nanny") is None:
+            return (
+                f"the worker {address} has no nanny, which ends a case at its limits and starts "
+                "the next worker; leave out `--no-nanny`"
+            )
+        return None
 
     def _look(self) -> dict[str, Any]:
         """What the scheduler knows of its workers; asked for once a second."""

@@ -279,6 +279,8 @@ def test_progress_in_place_and_in_a_log(monkeypatch):
     states = [Progress(8, 0, 0, None), Progress(8, 3, 1, 61.0), Progress(8, 7, 1, 0.0)]
     assert line(states[1]) == "3 of 8 cases done, 1 failed, 4 left, 61 s to go"
     assert line(Progress(8, 7, 0, 0.01)).endswith("1 left, less than a second to go")
+    waiting = Progress(8, 0, 0, None, waiting=300.0)
+    assert line(waiting).endswith("8 left, no worker for 5 min: waiting")
     assert line(Progress(8, 0, 0, None, True)).endswith("8 left, compiling: once on this machine")
     log = io.StringIO()
     written = ProgressLine(log)

@@ -14,6 +14,7 @@ from sweep import worker
 from sweep.errors import RunError, SchedulerError
 from sweep.stages import Status
 from sweep.store import Store, pack, unpack
+from sweep.versions import agreed
 from sweep.worker import Job, Task, run_job
 from tests.sweep import toy_stages, toys
 from tests.sweep.clusters import certificate, dask_cluster, extra_worker
@@ -162,16 +163,16 @@ def test_a_product_that_is_damaged_on_its_way_is_computed_again(cluster, tmp_pat
     assert "came damaged from a worker" in finished.damaged[0]
 
 
-@pytest.mark.parametrize("library", ["demflow", "numpy", "qdldl"])
+@pytest.mark.parametrize("library", ["demflow", "numpy", "qdldl", "python", "sources"])
 def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, capsys, library):
     address = cluster.address
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
-    own = worker.versions() | {library: "0.0.1"}
-    monkeypatch.setattr("sweep.execute.versions", lambda: own)
+    own = agreed() | {library: "0.0.1"}
+    monkeypatch.setattr("sweep.execute.agreed", lambda: own)
     place = ("--results", str(tmp_path / "results"), "--scheduler", address)
     assert toys.demflow("run", str(path), *place) == 2
     told = capsys.readouterr().err
-    assert f"{library} {worker.versions()[library]} (here 0.0.1)" in told
+    assert f"{library} {agreed()[library]} (here 0.0.1)" in told
     assert "give all the same versions" in told
     assert list(tmp_path.rglob("*.product")) == []
 
@@ -206,6 +207,28 @@ def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(c
         with pytest.raises(SchedulerError, match="has 3 threads"):
             toys.run(path, tmp_path / "other", scheduler=address)
     assert (finished.failed, finished.cases) == (0, 5)
+
+
+def test_workers_that_come_late_are_waited_for_and_those_without_a_nanny_not_taken(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr("sweep.execute.WAITING_SECONDS", 0.3)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+    seen = []
+    with dask_cluster(tmp_path / "processes", workers=0) as cluster, ExitStack() as joined:
+
+        def join(progress) -> None:
+            if not seen and progress.waiting > 0.5:
+                one = ("--nthreads", "1")
+                joined.enter_context(extra_worker(cluster.address, tmp_path / "joined", *one))
+                seen.append(progress)
+
+        finished = toys.run(path, tmp_path / "late", scheduler=cluster.address, progress=join)
+        assert (len(seen), finished.failed) == (1, 0)
+        alone = ("--nthreads", "1", "--no-nanny")
+        joined.enter_context(extra_worker(cluster.address, tmp_path / "alone", *alone))
+        with pytest.raises(SchedulerError, match="has no nanny"):
+            toys.run(path, tmp_path / "none", scheduler=cluster.address)
 
 
 def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):

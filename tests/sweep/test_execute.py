@@ -15,6 +15,7 @@ import pytest
 from distributed import LocalCluster
 
 from model.quantities import SWEEP
+from sweep.errors import RunError
 from sweep.results import open_results
 from sweep.stages import Status
 from tests.sweep import toy_stages, toys
@@ -293,6 +294,14 @@ def test_a_running_scheduler_can_be_used(tmp_path):
         finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
         assert len(cluster.scheduler.workers) == 1  # left as it was found
     assert (finished.cases, finished.failed) == (2, 1)
+
+
+def test_local_workers_that_never_stand_end_the_run_with_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr("sweep.pools.local.LocalPool.patience", 0.5)
+    monkeypatch.setattr("sweep.pools.local.LocalPool.addresses", lambda _: set())
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    with pytest.raises(RunError, match="try fewer workers"):
+        toys.run(path, tmp_path / "results", workers=1)
 
 
 SILENT = """
