@@ -1,6 +1,8 @@
 """One study whose workers are killed 100 times: every case good, the same bits.
 
 Now and then one of its worker processes, be it at work, idle or just starting, gets SIGKILL.
+Each kill may cost the one long stage run that the worker was at, which the stage itself writes
+down; no product that is stored is ever made again.
 """
 
 from __future__ import annotations
@@ -16,8 +18,8 @@ from sweep.results import open_results
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import differing
-from tests.sweep import toys
-from tests.sweep.processes import leftovers, products, start
+from tests.sweep import toy_stages, toys
+from tests.sweep.processes import Watch, leftovers, products, start
 
 KILLS, BETWEEN = 100, (0.1, 1.0)  # s between two kills, drawn evenly
 CASES, SECONDS = 300, 0.2  # enough that the study outlasts the kills
@@ -33,11 +35,13 @@ def run() -> Result:
     calm, runs = open_results(folder / "calm" / "toy"), json.loads(out)["computed"]
     chance = random.Random(1)
     results = folder / "results"
-    running = start(path, results, "--json")
+    diary, watch = folder / "diary", Watch(results)
+    running = start(path, results, "--json", **{toy_stages.DIARY: str(diary)})
     begin = time.monotonic()
     kills = 0
     while kills < KILLS and running.process.poll() is None:
         time.sleep(chance.uniform(*BETWEEN))
+        watch.look()
         if workers := running.workers():
             try:
                 chance.choice(workers).kill()
@@ -54,11 +58,16 @@ def run() -> Result:
     differ = differing(calm, dataset)
     left = running.left_after(5.0)
     faults = failed + len(differ) + len(left) + len(leftovers(results)) + (status != 0)
-    faults += len(products(results)) != runs
+    watch.look()
+    begun = toy_stages.noted(diary, "begins")
+    more = begun.total() - CASES
+    faults += len(products(results)) != runs or bool(watch.again)
+    faults += len(begun) != CASES or more > kills
     lines = [
         f"{kills} kills in {stormy:.0f} s, in {CASES} cases of {SECONDS:g} s on 2 workers",
         f"exit status {status}, {failed} cases failed, {len(differ)} variables differ",
         f"{json.loads(out)['computed']} stage runs counted, {runs} in the undisturbed run",
+        f"{more} flows executed again, {len(watch.again)} products stored again",
         f"processes left: {len(left)}, files left: {len(leftovers(results))}",
     ]
     if ended_early:

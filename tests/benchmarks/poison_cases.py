@@ -3,11 +3,16 @@
 On stages of a few lines, which can do what a model must not: kill their process, hang, hang in
 compiled code, eat memory, raise, return NaN. On the model itself: a case too large for the
 study's limits of time and memory, and one that cannot be.
+
+No other case may be run twice once it is stored. The stages of a few lines write down whenever
+they are executed: a healthy one once, or, where a worker died, once more if it was there.
 """
 
 from __future__ import annotations
 
+import os
 import shutil
+from collections import Counter
 from pathlib import Path
 
 from sweep.engine import Finished, run_study
@@ -16,7 +21,7 @@ from sweep.stages import Status
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.sweep import toy_stages, toys
-from tests.sweep.processes import products
+from tests.sweep.processes import Watch, products
 
 CASES, POISONED = 100, 37
 MEMORY, TIME = "{memory: 250 MB}", "{time: 3 s}"
@@ -66,12 +71,19 @@ def run() -> Result:
         path = toys.write_study(
             folder, name=f"toy{number}", seeds=(), stresses=(), rates=tuple(rates), limits=limits
         )
-        finished = toys.run(path, folder / f"toy{number}")
-        wrong += judged(kind, finished, status, words, lines)
+        diary, watch = folder / f"diary{number}", Watch(folder / f"toy{number}")
+        os.environ[toy_stages.DIARY] = str(diary)
+        finished = toys.run(path, watch.results, progress=watch.look)
+        del os.environ[toy_stages.DIARY]
+        begun = toy_stages.noted(diary, "begins")
+        assert len(begun) == CASES
+        del begun[f"1 {rate:g}"]
+        wrong += judged(kind, finished, status, words, watch, begun, lines)
     for number, (kind, (count, limits, status, words)) in enumerate(MODEL_CASES.items()):
         path = model_study(folder, f"model{number}", count, limits)
-        finished = run_study(path, results=folder / f"model{number}", figures=False)
-        wrong += judged(kind, finished, status, words, lines)
+        watch = Watch(folder / f"model{number}")
+        finished = run_study(path, results=watch.results, figures=False, progress=watch.look)
+        wrong += judged(kind, finished, status, words, watch, Counter(), lines)
     shutil.rmtree(folder)
     kinds = len(TOYS) + len(MODEL_CASES)
     return Result(
@@ -90,8 +102,19 @@ def model_study(folder: Path, name: str, count: int, limits: str) -> Path:
     return path
 
 
-def judged(kind: str, finished: Finished, status: Status, words: str, lines: list[str]) -> bool:
-    """Whether another case is not good or was run twice, or the poisoned one is not told right."""
+def judged(
+    kind: str,
+    finished: Finished,
+    status: Status,
+    words: str,
+    watch: Watch,
+    begun: Counter[str],
+    lines: list[str],
+) -> bool:
+    """Whether another case is not good or was run twice, or the poisoned one is not told right.
+
+    `begun` says how often each healthy case was executed, as far as that was written down.
+    """
     dataset = open_results(finished.folder)
     ended = dataset.status.values
     good = int((ended == Status.DONE).sum())
@@ -99,5 +122,11 @@ def judged(kind: str, finished: Finished, status: Status, words: str, lines: lis
     assert finished.executed is not None
     lines.append(f"{kind}: {good} good; {found.name.lower()}: {message}")
     computed, stored = finished.executed.computed, len(products(finished.folder.parent))
-    lines[-1] += f" ({computed} stage runs, {stored} stored; {finished.executed.deaths} deaths)"
-    return good != CASES - 1 or found is not status or words not in message or computed != stored
+    deaths, twice = finished.executed.deaths, sum(times > 1 for times in begun.values())
+    lines[-1] += (
+        f" ({computed} stage runs, {stored} stored, {len(watch.again)} stored again; "
+        f"{deaths} deaths, {twice} healthy cases executed twice)"
+    )
+    often = max(begun.values(), default=0) > (2 if deaths else 1)
+    told = found is status and words in message
+    return good != CASES - 1 or not told or computed != stored or bool(watch.again) or often

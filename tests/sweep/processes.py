@@ -85,6 +85,21 @@ def products(results: Path) -> dict[str, tuple[int, int]]:
     return found
 
 
+class Watch:
+    """Products as they were first seen, and those that were written again after that."""
+
+    def __init__(self, results: Path):
+        self.results = results
+        self.first: dict[str, tuple[int, int]] = {}
+        self.again: set[str] = set()
+
+    def look(self, *_: object) -> None:
+        """See what is stored now; serves as the `progress` of a run."""
+        for name, found in products(self.results).items():
+            if self.first.setdefault(name, found) != found:
+                self.again.add(name)
+
+
 def leftovers(results: Path) -> list[Path]:
     """Half files, and the lock."""
     return [*results.rglob("*.partial"), *results.rglob(".lock")]
