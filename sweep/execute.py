@@ -137,12 +137,14 @@ class _Execution:
         self.submitted = 0
         self.started = False  # whether a stage run was handed out
         self.begin, self.alive = begin, time.monotonic()
+        self.looked = self.alive
+        self.watched = 0.0  # s for which all workers together have stood
         self.own = agreed()
         self.first: float | None = None  # when the first worker was met
 
     def loop(self) -> None:
         """Hand out, wait, take in, until nothing is left to do or a signal ends it."""
-        shown = looked = 0.0
+        shown = 0.0
         with signals_noted() as noted:
             while self.schedule.pending and not noted:
                 self._hand_out()
@@ -151,9 +153,8 @@ class _Execution:
                     while True:
                         self._hear(*self.events.get_nowait())
                 now = time.monotonic()
-                if now - looked > TICK:
+                if now - self.looked > TICK:
                     self._look()
-                    looked = now
                 if self.progress and now - shown > TICK:
                     self._show()
                     shown = now
@@ -312,9 +313,11 @@ class _Execution:
                 self.jobs.send_whole(address, outcome.run, outcome.message)
         self.schedule.again(flight.bundle.runs)
 
-    def _bury(self, address: str, verdict: Excess | None = None) -> None:
-        """A worker is dead, or was ended with a verdict on what it was doing."""
-        self.dead[address] = time.monotonic()
+    def _bury(self, address: str, verdict: Excess | None = None, *, ours: bool = False) -> None:
+        """A worker is dead, or is ended by us, be it with a verdict on what it was doing."""
+        now, at = time.monotonic(), self._at(address)
+        seconds = now - at.begin if at else 0.0
+        self.dead[address] = now
         self.met.discard(address)
         self.jobs.forget(address)
         self.compiling.pop(address, None)
@@ -329,7 +332,9 @@ class _Execution:
         bundle = Bundle(runs, any(flight.bundle.alone for flight in line), None)
         if verdict and len(runs) == 1:
             self.ledger.convict(runs[0], *verdict)
-        elif (guilty := self.schedule.died(bundle)) is not None:
+        elif verdict or ours:
+            self.schedule.quarantine(runs)
+        elif (guilty := self.schedule.died(bundle, seconds, self.watched)) is not None:
             self.ledger.convict(
                 guilty,
                 Status.WORKER_DIED,
@@ -345,6 +350,8 @@ class _Execution:
         """End what takes too much, and find workers that went without a word."""
         now = time.monotonic()
         addresses = self.pool.addresses()
+        self.watched += len(addresses) * (now - self.looked)
+        self.looked = now
         for address, line in list(self.flights.items()):
             if not line:
                 continue
@@ -371,7 +378,7 @@ class _Execution:
 
     def _give_up(self, address: str) -> None:
         """End a worker that does not answer its greeting; its successor is greeted anew."""
-        self._bury(address)
+        self._bury(address, ours=True)
         self.pool.kill(address)
         self.silent += 1
         if self.silent >= GREETINGS:

@@ -15,13 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sweep.blame import Blame
 from sweep.cost import Costs
 from sweep.plan import Kind, Plan
 
 BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts about this long
 BUNDLE_LENGTH = 64  # and holds no more runs than this
-ATTEMPTS_ALONE = 2  # deaths of a worker, with nothing else on it, that convict a run
-SPARE_ATTEMPTS = 10  # further ones, one for each death that nobody is to blame for
 
 
 class State(IntEnum):
@@ -63,8 +62,7 @@ class Schedule:
         self.state[stored] = State.DONE
         self.state[failed & ~stored] = State.FAILED
         self.suspects: set[int] = set()
-        self.deaths: dict[int, int] = {}  # of workers that had nothing else on them
-        self.unexplained: list[set[int]] = []  # runs under which a worker died, none convicted
+        self.blame = Blame()
         number: dict[Kind, int] = {}
         self._kind = np.array(
             [number.setdefault(run.kind, len(number)) for run in plan.runs], dtype=np.int32
@@ -187,25 +185,25 @@ class Schedule:
                     self.state[child] = State.WAITING
         self._settle([run])
 
-    def died(self, bundle: Bundle) -> int | None:
+    def died(self, bundle: Bundle, seconds: float = 0.0, watched: float = 0.0) -> int | None:
         """The worker died under a bundle. Return the run to blame, None while it is unknown.
 
-        Its runs are retried, each alone on a worker; one under which the worker dies again
-        and again, with nothing else there, has done it. Where workers die under other runs too,
-        something outside may be ending them, and a run is given more attempts.
+        Its runs are retried, each alone on a worker; `Blame` says what the numbers are.
         """
-        runs = [run for run in bundle.runs if self.state[run] == State.RUNNING]
-        if bundle.alone and len(runs) == 1:
-            run = runs[0]
-            self.deaths[run] = self.deaths.get(run, 0) + 1
-            elsewhere = sum(run not in aboard for aboard in self.unexplained)
-            if self.deaths[run] >= ATTEMPTS_ALONE + min(elsewhere, SPARE_ATTEMPTS):
-                self.unexplained = [aboard for aboard in self.unexplained if run not in aboard]
-                return run
-        self.unexplained.append(set(runs))
+        runs = self._at_work(bundle.runs)
+        guilty = self.blame.died(runs, alone=bundle.alone, seconds=seconds, watched=watched)
+        if guilty is None:
+            self.quarantine(runs)
+        return guilty
+
+    def quarantine(self, runs: Iterable[int]) -> None:
+        """Retry runs of which one is suspect, each alone on a worker."""
+        runs = self._at_work(runs)
         self.suspects.update(runs)
         self.again(runs)
-        return None
+
+    def _at_work(self, runs: Iterable[int]) -> list[int]:
+        return [run for run in runs if self.state[run] == State.RUNNING]
 
     def seconds_left(self, workers: int) -> float | None:
         """Expected seconds until all is done, None where a stage was never measured."""

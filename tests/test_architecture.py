@@ -36,7 +36,7 @@ SWEEP = (
     ("sweep.schema", "sweep.cases"),
     ("sweep.stages", "sweep.identity", "sweep.durable"),
     ("sweep.store",),
-    ("sweep.plan", "sweep.worker"),
+    ("sweep.plan", "sweep.worker", "sweep.blame"),
     ("sweep.cost", "sweep.heritage"),
     ("sweep.schedule",),
     ("sweep.pools", "sweep.limits", "sweep.jobs", "sweep.ledger", "sweep.dataset"),

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sweep.blame import ATTEMPTS_ALONE
 from sweep.plan import Kind, Plan, StageRun
-from sweep.schedule import ATTEMPTS_ALONE, BUNDLE_SECONDS, Bundle, Schedule, State, Tally
+from sweep.schedule import BUNDLE_SECONDS, Schedule, State, Tally
 from sweep.stages import stage_table
 from tests.sweep.toys import TABLE
 
@@ -129,23 +130,6 @@ def test_a_death_is_blamed_on_a_run_only_when_it_was_alone():
     assert verdict == 3
     schedule.failed(3)
     assert schedule.next_bundle().runs == (4,)
-
-
-def test_where_workers_die_under_others_too_a_run_gets_more_attempts():
-    schedule = fresh(tree(1, 1, 3), stored=(0, 1))
-    for _ in range(2):  # something outside ends workers, whatever they are at or not
-        assert schedule.died(Bundle((), False, None)) is None
-    attempts = 0
-    bundle = schedule.next_bundle()
-    while (verdict := schedule.died(bundle)) is None:
-        bundle = schedule.next_bundle()
-        attempts += 1
-    assert bundle.runs == (verdict,) == (2,)
-    assert attempts == ATTEMPTS_ALONE + 2
-    schedule.failed(2)
-    again = schedule.next_bundle()
-    assert schedule.died(again) is None  # what the convicted did speaks for nobody
-    assert len(schedule.unexplained) == 3
 
 
 def test_a_lost_product_is_computed_again_before_its_children():
