@@ -8,7 +8,6 @@ took too long or grew too large, and nobody else is blamed.
 
 from __future__ import annotations
 
-import math
 import time
 import uuid
 from collections import deque
@@ -16,7 +15,7 @@ from collections.abc import Callable
 from concurrent.futures import CancelledError
 from concurrent.futures import Future as Answer
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from queue import Empty, SimpleQueue
 from typing import TYPE_CHECKING, Any
 
@@ -103,12 +102,45 @@ def execute(
 
 @dataclass(eq=False)
 class _Flight:
-    """A bundle that is on its way on a worker."""
+    """A bundle that is on its way on a worker, or the greeting that comes before all."""
 
-    bundle: Bundle
+    bundle: Bundle | None  # None: the greeting
     future: Future
     begin: float  # when its worker came to it; later by what was compiled since
     answer: Answer[Any] | None = None  # which is on its way from when the worker has ended it
+
+
+@dataclass(eq=False)
+class _Worker:
+    """What is known of a worker, while its address is listed."""
+
+    line: deque[_Flight] = field(default_factory=deque)  # in the order of its work
+    unfit: str | None = None  # why it is sent nothing
+    compiling: float | None = None  # since when it compiles kernels
+    died: float | None = None  # when it did
+
+    @property
+    def at(self) -> _Flight | None:
+        """What it is at; what it has ended may still be on its way."""
+        return next((flight for flight in self.line if flight.answer is None), None)
+
+    @property
+    def greeted(self) -> bool:
+        """Whether it has not answered its greeting yet."""
+        return bool(self.line) and self.line[0].bundle is None
+
+    @property
+    def soon_free(self) -> bool:
+        """Whether it is at one job, a short one, beside which another may wait."""
+        bundle = self.line[0].bundle if len(self.line) == 1 else None
+        if bundle is None or bundle.alone or bundle.seconds is None:
+            return False
+        return bundle.seconds < AHEAD_SECONDS
+
+    @property
+    def usable(self) -> bool:
+        """Whether it can be sent anything."""
+        return self.died is None and self.unfit is None
 
 
 class _Execution:
@@ -125,14 +157,10 @@ class _Execution:
     ):
         self.ledger, self.schedule, self.report = ledger, ledger.schedule, ledger.report
         self.jobs, self.judge, self.pool, self.progress = jobs, judge, pool, progress
-        self.flights: dict[str, deque[_Flight]] = {}  # by worker, in the order of their work
-        self.met: set[str] = set()
-        self.unfit: dict[str, str] = {}  # workers that are sent nothing, and why
+        self.workers: dict[str, _Worker] = {}  # by address
         self.silent = 0  # workers that never answered their greeting
         self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
-        self.dead: dict[str, float] = {}  # when a worker died, while its address is listed still
         self.events: SimpleQueue[tuple[str, _Flight | float | None]] = SimpleQueue()
-        self.compiling: dict[str, float] = {}  # workers that compile kernels, since when
         pool.listen(COMPILING, lambda worker, told: self.events.put((worker, told["seconds"])))
         self.submitted = 0
         self.started = False  # whether a stage run was handed out
@@ -162,48 +190,39 @@ class _Execution:
 
     def _hand_out(self) -> None:
         addresses, now = self.pool.addresses(), time.monotonic()
-        self.dead = {
-            a: at for a, at in self.dead.items() if a in addresses and now - at < DEAD_SECONDS
-        }
-        addresses -= self.dead.keys()
-        for address in sorted(addresses - self.met):
-            self.met.add(address)
+        for address, worker in list(self.workers.items()):
+            forgiven = worker.died is not None and now - worker.died > DEAD_SECONDS
+            if forgiven or (address not in addresses and not worker.line):
+                del self.workers[address]
+                self.jobs.forget(address)
+        for address in sorted(addresses - self.workers.keys()):
+            self.workers[address] = _Worker()
             if why := self.pool.unfit(address):
                 self._refuse(address, why)
             else:
                 self._greet(address)
-        addresses -= self.unfit.keys()
-        if addresses:
+        usable = {a: w for a, w in self.workers.items() if a in addresses and w.usable}
+        if usable:
             self.alive = now
             self.first = self.first or now
-        greeted = {a for a in addresses if (line := self._line(a)) and not line[0].bundle.runs}
-        if greeted and not self.started and self.first and now - self.first < HEARD_SECONDS:
-            return  # before the first stage run, all workers are heard
-        addresses = addresses - greeted
+        ready = {a: w for a, w in usable.items() if not w.greeted}
+        all_heard = len(ready) == len(usable) or now - (self.first or now) > HEARD_SECONDS
+        if not (self.started or all_heard):
+            return  # before the first stage run
         # first whoever has nothing to do, then whoever soon will have nothing
-        for address in sorted(addresses):
-            if not self._line(address):
+        for address in sorted(ready):
+            if not ready[address].line:
                 self._send_next(address, alone_possible=True)
-        for address in sorted(addresses):
-            line = self._line(address)
-            if len(line) == 1 and not line[0].bundle.alone:
-                seconds = line[0].bundle.seconds
-                if seconds is not None and seconds < AHEAD_SECONDS:
-                    self._send_next(address, alone_possible=False)
-        if addresses and not any(self.flights.values()):
+        for address in sorted(ready):
+            if ready[address].soon_free:
+                self._send_next(address, alone_possible=False)
+        if ready and not any(worker.line for worker in self.workers.values()):
             raise RunError(f"{self.schedule.pending} stage runs wait for each other")
-
-    def _line(self, address: str) -> deque[_Flight]:
-        return self.flights.setdefault(address, deque())
-
-    def _at(self, address: str) -> _Flight | None:
-        """What a worker is at; what it has ended may still be on its way."""
-        return next((flight for flight in self._line(address) if flight.answer is None), None)
 
     def _greet(self, address: str) -> None:
         """Have a new worker import the stages and say which versions it runs."""
         greeting = Greeting(self.jobs.table, self.pool.parent)
-        self._submit(address, Bundle((), False, 0.0), introduce, greeting)
+        self._submit(address, None, introduce, greeting)
 
     def _meet(self, address: str, found: dict[str, str]) -> None:
         other = [name for name, own in self.own.items() if found.get(name) != own]
@@ -215,7 +234,7 @@ class _Execution:
         """Send nothing to a worker. Raises SchedulerError before the first stage run."""
         if not self.started:
             raise SchedulerError(why)
-        self.unfit[address] = why
+        self.workers[address].unfit = why
         self.report.refused.append(why)
 
     def _send_next(self, address: str, *, alone_possible: bool) -> None:
@@ -230,35 +249,39 @@ class _Execution:
             return
 
     def _submit(
-        self, address: str, bundle: Bundle, function: Callable[[Any], Any], argument: Any
+        self, address: str, bundle: Bundle | None, function: Callable[[Any], Any], argument: Any
     ) -> None:
         self.submitted += 1
-        if bundle.runs and not self.started:
+        if bundle is not None and not self.started:
             self.started = True
             self.schedule.costs.start = time.monotonic() - self.begin
         future = self.pool.submit(address, function, argument, f"{self.name}-{self.submitted}")
         flight = _Flight(bundle, future, time.monotonic())
-        self._line(address).append(flight)
+        self.workers[address].line.append(flight)
         future.add_done_callback(lambda _: self.events.put((address, flight)))
 
     def _hear(self, address: str, event: _Flight | float | None) -> None:
         """A flight ended, or a worker compiles kernels: None from now on, or so many seconds."""
+        worker = self.workers.get(address)
+        if worker is None:
+            return  # of others on the same cluster, or long dead
         if isinstance(event, _Flight):
-            self._take_in(address, event)
+            self._take_in(address, worker, event)
         elif event is None:
-            self.compiling[address] = time.monotonic()
-        elif self.compiling.pop(address, None) is not None and (at := self._at(address)):
-            at.begin += event
+            worker.compiling = time.monotonic()
+        elif worker.compiling is not None:
+            worker.compiling = None
+            if worker.at is not None:
+                worker.at.begin += event
 
-    def _take_in(self, address: str, flight: _Flight) -> None:
-        line = self._line(address)
-        if flight not in line:
+    def _take_in(self, address: str, worker: _Worker, flight: _Flight) -> None:
+        if flight not in worker.line:
             return  # it was settled when its worker died
         if flight.future.status == "finished":
             if flight.answer is None:
                 self._fetch(address, flight)
-                if (at := self._at(address)) is not None:
-                    at.begin = time.monotonic()
+                if worker.at is not None:
+                    worker.at.begin = time.monotonic()
                 return
             try:
                 answer = flight.answer.result()
@@ -267,9 +290,9 @@ class _Execution:
                     self._fetch(address, flight)
                     return
             else:
-                line.remove(flight)
-                if flight.bundle.runs:
-                    self._settle(address, flight, answer)
+                worker.line.remove(flight)
+                if flight.bundle is not None:
+                    self._settle(address, flight.bundle, answer)
                 else:
                     self._meet(address, answer)
                 return
@@ -278,8 +301,8 @@ class _Execution:
             error = flight.future.exception()
         if error is None or isinstance(error, KilledWorker):
             self._bury(address)
-        elif not flight.bundle.runs:
-            line.remove(flight)
+        elif flight.bundle is None:
+            worker.line.remove(flight)
             why = f"{type(error).__name__}: {error}"
             self._refuse(address, f"the worker {address} cannot run demflow: {why}")
         elif isinstance(error, OSError):
@@ -298,7 +321,7 @@ class _Execution:
         flight.answer = self.pool.fetch(flight.future)
         flight.answer.add_done_callback(lambda _: self.events.put((address, flight)))
 
-    def _settle(self, address: str, flight: _Flight, outcomes: list[Outcome]) -> None:
+    def _settle(self, address: str, bundle: Bundle, outcomes: list[Outcome]) -> None:
         if not (self.pool.shares_store or self.ledger.accept(outcomes)):
             self.jobs.forget(address)
             outcomes = []  # computed again
@@ -311,25 +334,22 @@ class _Execution:
                 self.ledger.lost(outcome.run, outcome.lost, outcome.message)
             else:
                 self.jobs.send_whole(address, outcome.run, outcome.message)
-        self.schedule.again(flight.bundle.runs)
+        self.schedule.again(bundle.runs)
 
     def _bury(self, address: str, verdict: Excess | None = None, *, ours: bool = False) -> None:
         """A worker is dead, or is ended by us, be it with a verdict on what it was doing."""
-        now, at = time.monotonic(), self._at(address)
-        seconds = now - at.begin if at else 0.0
-        self.dead[address] = now
-        self.met.discard(address)
+        worker, now = self.workers[address], time.monotonic()
+        seconds = now - worker.at.begin if worker.at else 0.0
+        self.workers[address] = _Worker(died=now)
         self.jobs.forget(address)
-        self.compiling.pop(address, None)
         self.report.deaths += 1
-        line = self.flights.pop(address, deque())
-        for flight in line:
-            for run in flight.bundle.runs:
-                self.ledger.find_stored(run)
         # a worker that hangs may not have said that it is at the second of its bundles already
-        handed = [run for flight in line for run in flight.bundle.runs]
+        bundles = [flight.bundle for flight in worker.line if flight.bundle is not None]
+        handed = [run for bundle in bundles for run in bundle.runs]
+        for run in handed:
+            self.ledger.find_stored(run)
         runs = tuple(run for run in handed if not self.schedule.is_done(run))
-        bundle = Bundle(runs, any(flight.bundle.alone for flight in line), None)
+        bundle = Bundle(runs, any(bundle.alone for bundle in bundles), None)
         if verdict and len(runs) == 1:
             self.ledger.convict(runs[0], *verdict)
         elif verdict or ours:
@@ -341,7 +361,7 @@ class _Execution:
                 "its worker process died, also with nothing else on it; "
                 "most often memory ran out: try fewer grains or fewer workers",
             )
-        for flight in line:
+        for flight in worker.line:
             flight.future.cancel()
             if flight.answer is not None:
                 flight.answer.cancel()
@@ -352,22 +372,21 @@ class _Execution:
         addresses = self.pool.addresses()
         self.watched += len(addresses) * (now - self.looked)
         self.looked = now
-        for address, line in list(self.flights.items()):
-            if not line:
-                continue
-            at = self._at(address)
-            if address not in addresses:
+        for address, worker in list(self.workers.items()):
+            at = worker.at
+            if worker.line and address not in addresses:
                 self._bury(address)
             elif at is None:
                 continue
-            elif not at.bundle.runs:
+            elif at.bundle is None:
                 if now - at.begin > GREETING_SECONDS:
                     self._give_up(address)
-            elif verdict := self._excess(address, at.bundle, now - at.begin):
+            elif verdict := self._excess(address, worker, at.bundle, now - at.begin):
                 self._bury(address, verdict)
                 self.pool.kill(address)
-        if now - self.alive > UNFIT_SECONDS and (why := self.unfit.keys() & addresses):
-            told = "; ".join(self.unfit[address] for address in sorted(why))
+        unfit = [worker.unfit for worker in self.workers.values() if worker.unfit]
+        if unfit and now - self.alive > UNFIT_SECONDS:
+            told = "; ".join(unfit)
             raise RunError(f"no worker that can be used for {UNFIT_SECONDS:g} s: {told}")
         if now - self.alive > self.pool.patience:
             raise RunError(
@@ -387,9 +406,12 @@ class _Execution:
                 f"the last of them was {address}"
             )
 
-    def _excess(self, address: str, bundle: Bundle, seconds: float) -> Excess | None:
-        compiled = time.monotonic() - self.compiling.get(address, -math.inf)
-        if compiled > COMPILING_SECONDS and (late := self.judge.of_time(bundle.runs, seconds)):
+    def _excess(
+        self, address: str, worker: _Worker, bundle: Bundle, seconds: float
+    ) -> Excess | None:
+        since = worker.compiling
+        compiling = since is not None and time.monotonic() - since < COMPILING_SECONDS
+        if not compiling and (late := self.judge.of_time(bundle.runs, seconds)):
             return late
         return self.judge.of_memory(self.pool.memory(address))
 
@@ -398,6 +420,7 @@ class _Execution:
             workers = len(self.pool.addresses())
             tally, left = self.ledger.tally, self.schedule.seconds_left(workers)
             cases = len(self.ledger.plan.cases)
-            compiling, without = bool(self.compiling), time.monotonic() - self.alive
+            compiling = any(w.compiling is not None for w in self.workers.values())
+            without = time.monotonic() - self.alive
             waiting = without if without > WAITING_SECONDS else 0.0
             self.progress(Progress(cases, tally.done, tally.failed, left, compiling, waiting))
