@@ -3,7 +3,7 @@
 A *cut* keeps the grains inside a region; the forces and torques of the contacts (and walls) that
 are lost act on as loads from outside, so that every grain is as balanced as it was. An
 *excavation* takes the grains inside a region away, and their forces with them; what then moves
-is found by `Specimen.relax`.
+is found by `Specimen.relax`. Bonds and joints between grains that stay are kept by both.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def cut(specimen: Specimen, region: Region) -> Specimen:
 
     Parameters
     ----------
-    specimen : at rest; it is not changed. Smooth joints are not kept.
+    specimen : at rest; it is not changed.
     region : in the units of the specimen (mean radii, its centre at the origin).
 
     Raises ValueError where no grain lies inside.
@@ -46,7 +46,9 @@ def excavate(specimen: Specimen, region: Region) -> Specimen:
     inside = _inside(specimen, region)
     if inside.all():
         raise ValueError("the excavation leaves no grain")
-    return _part(specimen, ~inside, specimen.box.copy())
+    part = _part(specimen, ~inside, specimen.box.copy())
+    part.first_box = specimen.first_box.copy()  # from which strains of cracks are counted
+    return part
 
 
 def press_on(specimen: Specimen, region: Region, pressure: float) -> int:
@@ -115,7 +117,7 @@ def _loads(specimen: Specimen) -> Array:
 
 
 def _part(specimen: Specimen, kept: Array, box: Array) -> Specimen:
-    """Some grains of a specimen, at rest, with what their contacts and bonds remember."""
+    """Some grains of a specimen, at rest, with what their contacts, bonds and joints remember."""
     grains, pairs = specimen.grains, specimen.pairs
     a, b = listed(pairs)
     stays = kept[a] & kept[b]
@@ -134,7 +136,7 @@ def _part(specimen: Specimen, kept: Array, box: Array) -> Specimen:
     )
     fresh.load_x[:], fresh.load_y[:] = grains.load_x[kept], grains.load_y[kept]
     fresh.load_torque[:] = grains.load_torque[kept]
-    return Specimen(
+    part = Specimen(
         fresh,
         box,
         specimen.law,
@@ -143,3 +145,6 @@ def _part(specimen: Specimen, kept: Array, box: Array) -> Specimen:
         skin=specimen.skin,
         known=known,
     )
+    part.inherit_joints(specimen, kept)
+    part.run = part.run._replace(step=specimen.run.step)  # later cracks are numbered on
+    return part

@@ -21,7 +21,7 @@ from model.mechanics.energy import (
     new_ledger,
 )
 from model.mechanics.grains import Array, Grains
-from model.mechanics.joints import Joints, JointState, Trace, no_joints
+from model.mechanics.joints import Joints, JointState, Trace, among, no_joints
 from model.mechanics.motion import (
     START_MIXING,
     Fire,
@@ -275,6 +275,12 @@ class Specimen:
         """Take all motion away."""
         for velocity in (self.grains.vx, self.grains.vy, self.grains.spin):
             velocity[:] = 0.0
+
+    def inherit_joints(self, whole: Specimen, kept: Array) -> None:
+        """Have the joints of the specimen of which these grains are the ones `kept` (n,) bool."""
+        self._traces = whole._traces.among(kept)
+        known = among(whole.joints, kept)
+        self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, known)
 
     def open_ledger(self) -> None:
         """Count energies from here on; see `energy`."""

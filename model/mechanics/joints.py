@@ -10,6 +10,7 @@ other. Where traces cross, the one named first has the contact.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -115,6 +116,12 @@ class Joints:
             pairs.bond[pair], pairs.shear[pair] = JOINED, 0.0
         return known
 
+    def among(self, kept: Array) -> Joints:
+        """The same for some of the grains (n,) bool, in their new numbers."""
+        part = copy.copy(self)
+        part.x, part.y, part.found = self.x[kept], self.y[kept], self.found.copy()
+        return part
+
     def _across(self, trace: Trace, grains: Grains, a: Array, b: Array) -> tuple[Array, Array]:
         """Which pairs lie on two sides of a trace, and +1 where a lies on its right."""
         (x0, y0), (x1, y1) = trace.start, trace.end
@@ -178,6 +185,16 @@ def _contacts(
         state=state,
         cracks=no_cracks(len(a)),
     )
+
+
+def among(joints: JointState, kept: Array) -> JointState:
+    """The contacts between grains that are kept (n,) bool, in their new numbers; a copy."""
+    stays = kept[joints.a] & kept[joints.b]
+    number = np.cumsum(kept) - 1
+    fields = [field[stays] for field in joints[:-1]]
+    cracks = Cracks(*(field[stays] for field in joints.cracks))
+    some = JointState._make([*fields, cracks])
+    return some._replace(a=number[some.a], b=number[some.b])
 
 
 def _joined(one: JointState, two: JointState) -> JointState:

@@ -5,20 +5,26 @@ import pytest
 
 from model.mechanics.cut import cut, excavate, gravity, press_on
 from model.mechanics.equilibrium import AT_REST, Specimen, Stop
+from model.mechanics.joints import APART
 from model.mechanics.measures import listed, overlaps
+from model.mechanics.neighbours import JOINED
 from model.mechanics.rock import specimen_of
 from model.mechanics.servo import STANDING
 from model.mechanics.stress import straight_path
 from model.region import Circle, Polygon
-from model.scene import Bonds
+from model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
 
 BONDS = Bonds(kind="parallel", tensile_strength=1e9, shear_strength=1e9)
+KN = 40e9
+PLANE = Joint(normal_stiffness=KN, shear_stiffness=KN, friction=0.6)
+CEMENT = Joint(normal_stiffness=KN, shear_stiffness=KN, friction=0.6, cohesion=1e9,
+               tensile_strength=1e9)  # fmt: skip
 REGIONS = (Circle(8.0), Polygon(((-9.0, -6.0), (8.0, -7.0), (6.0, 9.0), (-5.0, 5.0))))
 
 
-def pressed(bonds: Bonds | None) -> Specimen:
-    specimen = specimen_of(packed(), 40e9, 2.5, 0.5, bonds)
+def pressed(bonds: Bonds | None, *joints: JointLine) -> Specimen:
+    specimen = specimen_of(packed(), KN, 2.5, 0.5, bonds, joints)
     path = straight_path(2e-4, 3.5e-4, 2.5e-4)
     reason = specimen.relax(path, Stop(ratio=1e-4, stress=1e-3), damping=0.5, steps=100_000)
     assert reason == AT_REST
@@ -49,6 +55,66 @@ def test_a_cut_is_as_balanced_as_the_whole(region, bonds) -> None:
     after = contact_state(part)
     assert len(before) == len(after)
     assert np.linalg.norm(after - before) < 1e-3 * np.linalg.norm(before)
+
+
+def jointed(joint: Joint) -> Specimen:
+    """A bonded rock at rest with a joint across all of it, at 30 degrees."""
+    return pressed(BONDS, JointLine((-1.6, -0.9), (1.7, 1.0), joint))
+
+
+def joint_contacts(specimen: Specimen) -> dict[tuple[float, ...], tuple[float, ...]]:
+    """Forces, gap and slip by the places of the two grains, whatever their numbers."""
+    grains, joints = specimen.grains, specimen.joints
+    places = np.column_stack(
+        [grains.x[joints.a], grains.y[joints.a], grains.x[joints.b], grains.y[joints.b]]
+    )
+    held = np.column_stack([joints.normal, joints.shear, joints.gap, joints.slipped, joints.state])
+    acts = joints.state != APART
+    return dict(zip(map(tuple, places[acts]), map(tuple, held[acts]), strict=True))
+
+
+@pytest.mark.parametrize("joint", [PLANE, CEMENT])
+@pytest.mark.parametrize("region", REGIONS)
+def test_a_cut_keeps_its_joints_and_its_balance(region, joint) -> None:
+    whole = jointed(joint)
+    part = cut(whole, region)
+    grains = whole.grains
+    inside = np.isin(grains.x, part.grains.x)
+    every, kept = joint_contacts(whole), joint_contacts(part)
+    places = set(zip(part.grains.x, part.grains.y, strict=True))
+    assert kept == {pair: held for pair, held in every.items() if {pair[:2], pair[2:]} <= places}
+    assert 4 < len(kept) < len(every)
+    for force in ("fx", "fy", "torque"):
+        np.testing.assert_allclose(
+            getattr(part.grains, force), getattr(grains, force)[inside], rtol=0, atol=1e-17
+        )
+    before = np.concatenate([part.joints.normal, part.joints.shear])
+    stop = Stop(ratio=1e-4, stress=np.inf)
+    assert part.relax(STANDING, stop, damping=0.5, steps=3000) == AT_REST
+    after = np.concatenate([part.joints.normal, part.joints.shear])
+    assert np.linalg.norm(after - before) < 1e-3 * np.linalg.norm(before)
+
+
+@pytest.mark.parametrize("joint", [PLANE, CEMENT])
+def test_an_excavation_leaves_the_joints_outside_it(joint) -> None:
+    whole = jointed(joint)
+    opened = excavate(whole, Circle(4.0))
+    every, kept = joint_contacts(whole), joint_contacts(opened)
+    places = set(zip(opened.grains.x, opened.grains.y, strict=True))
+    assert kept == {pair: held for pair, held in every.items() if {pair[:2], pair[2:]} <= places}
+    assert 10 < len(kept) < len(every)
+    opened.relax(STANDING, Stop(ratio=0.0, stress=-1.0), damping=0.5, steps=0)
+    stay = np.isin(whole.grains.x, opened.grains.x)
+    far = np.hypot(opened.grains.x, opened.grains.y) > 4.0 + 3.0 * opened.grains.radius.max()
+    for force in ("fx", "fy", "torque"):
+        as_before = getattr(whole.grains, force)[stay][far]
+        np.testing.assert_allclose(getattr(opened.grains, force)[far], as_before, atol=1e-17)
+    held = straight_path(2e-4, 3.5e-4, 2.5e-4)._replace(start_xx=3.5e-4, start_yy=2.5e-4)
+    stop = Stop(ratio=1e-3, stress=5e-3)
+    assert opened.relax(held, stop, damping=0.5, steps=60_000) == AT_REST
+    a, b = listed(opened.pairs)
+    across, joints, n = opened.pairs.bond == JOINED, opened.joints, len(opened.grains.x)
+    assert set(a[across] * n + b[across]) <= set(joints.a * n + joints.b)
 
 
 def test_a_borehole_is_found_anew_in_equilibrium_and_can_be_held_open() -> None:
