@@ -7,12 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from model.mechanics.bonds import PARALLEL_BONDS
+from model.mechanics.backbone import contacts_of
 from model.mechanics.equilibrium import Specimen
 from model.mechanics.grains import Array
-from model.mechanics.measures import listed, overlaps
 from model.mechanics.rock import specimen_of
-from model.mechanics.stiffness import ANCHOR, Contacts, factorise, matrix, solve
+from model.mechanics.stiffness import ANCHOR, Contacts, factorise, matrix, solve, springs
 from model.products import Packing
 from model.scene import Bonds
 
@@ -34,16 +33,16 @@ def elastic_moduli(
 ) -> Moduli:
     """Moduli of a packing that is bonded as `stress.load` does, for small strains.
 
+    Contacts are those of the packed state, with the stiffness that they have there (`springs`).
+
     Grains within RIM of the walls follow the strain without rotation, the others find
     equilibrium. Stress is the mean over these, Σ f ⊗ l / 2 over their areas π r² / (1 − φ).
     """
     specimen = specimen_of(packing, 1.0, stiffness_ratio, friction, bonds)
     grains, box, n = specimen.grains, specimen.box, len(specimen.grains.x)
-    a, b = listed(specimen.pairs)
-    held = (specimen.pairs.bond >= 0) | (overlaps(grains.x, grains.y, grains.radius, a, b) > 0.0)
     none = np.empty(0, np.int64)
-    a, b, bond = a[held], b[held], specimen.pairs.bond[held].astype(np.int64)
-    contacts = Contacts(a, b, bond, (none, none, none, none))
+    contacts = contacts_of(specimen)._replace(walls=(none, none, none, none))
+    a, b = contacts.a, contacts.b
     stiffness = matrix(grains, contacts, specimen.bonds, specimen.law)[: 3 * n, : 3 * n]
     inside = (
         (grains.x > box[0] + RIM)
@@ -97,14 +96,12 @@ def in_plane_strain(modulus: float, ratio: float) -> tuple[float, float]:
 
 def _forces(u: Array, contacts: Contacts, specimen: Specimen) -> tuple[Array, Array]:
     """Linear forces on b of each contact, tension positive as strains are."""
-    grains, a, b, of = specimen.grains, contacts.a, contacts.b, contacts.bond
+    grains, a, b = specimen.grains, contacts.a, contacts.b
     dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
     distance = np.hypot(dx, dy)
     nx, ny = dx / distance, dy / distance
     overlap = grains.radius[a] + grains.radius[b] - distance
-    kn, ks = np.full(len(a), specimen.law.kn), np.full(len(a), specimen.law.ks)
-    if specimen.bonds.kind == PARALLEL_BONDS:
-        kn, ks = kn + specimen.bonds.kn[of], ks + specimen.bonds.ks[of]
+    kn, ks, _ = springs(overlap, contacts.bond, specimen.bonds, specimen.law)
     ux, uy = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1]
     normal = kn * (ux * nx + uy * ny)
     turn = u[a, 2] * (grains.radius[a] - 0.5 * overlap)

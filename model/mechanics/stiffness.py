@@ -46,8 +46,7 @@ class Contacts(NamedTuple):
 def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw) -> csc_array:
     """The stiffness matrix (3 n + 2, 3 n + 2) about the present positions, over k_n.
 
-    Every contact carries tension as it does compression; a parallel bond adds its own, and
-    stands alone across a gap.
+    Every contact carries tension as it does compression, see `springs`.
     """
     n = len(grains.x)
     a, b = contacts.a, contacts.b
@@ -56,15 +55,7 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw
     nx, ny = dx / distance, dy / distance
     overlap = grains.radius[a] + grains.radius[b] - distance
     arm_a, arm_b = grains.radius[a] - 0.5 * overlap, grains.radius[b] - 0.5 * overlap
-    kn, ks, kr = np.full(len(a), law.kn), np.full(len(a), law.ks), np.zeros(len(a))
-    if bonds.kind == PARALLEL_BONDS:
-        apart = overlap < -TOUCHING
-        kn[apart] = ks[apart] = 0.0
-        glued = contacts.bond >= 0
-        of = contacts.bond[glued]
-        kn[glued] += bonds.kn[of]
-        ks[glued] += bonds.ks[of]
-        kr[glued] += bonds.kr[of]
+    kn, ks, kr = springs(overlap, contacts.bond, bonds, law)
     zero, one = np.zeros(len(a)), np.ones(len(a))
     strains = (
         (kn, (-nx, -ny, zero, nx, ny, zero)),
@@ -98,6 +89,26 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
         shape=(3 * n + 2, 3 * n + 2),
     ).tocsc()
+
+
+def springs(
+    overlap: Array, bond: Array, bonds: BondState, law: ContactLaw
+) -> tuple[Array, Array, Array]:
+    """Normal, shear and bending stiffness (c,) of contacts by overlap and bond, −1 for none.
+
+    A parallel bond adds its own to the grains', and stands alone across a gap. Contact bonds
+    are as stiff there as grains that touch.
+    """
+    kn, ks, kr = np.full(len(bond), law.kn), np.full(len(bond), law.ks), np.zeros(len(bond))
+    if bonds.kind == PARALLEL_BONDS:
+        apart = overlap < -TOUCHING
+        kn[apart] = ks[apart] = 0.0
+        glued = bond >= 0
+        of = bond[glued]
+        kn[glued] += bonds.kn[of]
+        ks[glued] += bonds.ks[of]
+        kr[glued] += bonds.kr[of]
+    return kn, ks, kr
 
 
 def factorise(stiffness: csc_array) -> Factor:

@@ -156,12 +156,13 @@ def find_friction(wanted: float, pressure: float, draw: Draw) -> Trial:
         return best
     ratio = draw.law.ratio
     if dense is None or loose is None:
-        ends = (draw.attempt(by_porosity(end, pressure)).porosity for end in (least, greatest))
-        reached = "about {:.3f} to {:.3f}".format(*ends)
-        raise ModelError(
-            f"porosity {wanted:g} cannot be reached: random packings of radius ratio {ratio:g} at "
-            f"a stress of {pressure:.3g} k_n reach {reached}; choose grains.porosity in that range"
-        )
+        low, high = (draw.attempt(by_porosity(end, pressure)).porosity for end in (least, greatest))
+        if not low <= wanted <= high:
+            raise ModelError(
+                f"porosity {wanted:g} cannot be reached: random packings of radius ratio {ratio:g} "
+                f"at a stress of {pressure:.3g} k_n reach about {low:.3f} to {high:.3f}; choose "
+                "grains.porosity in that range"
+            )
     raise ModelError(
         f"no packing of porosity {wanted:g} came to rest in {TRIES} tries (radius ratio "
         f"{ratio:g}); try another grains.seed, a porosity nearer to 0.17, or more grains"
@@ -197,6 +198,13 @@ def find_pressure(wanted: float, friction: float, draw: Draw) -> Trial:
     if best is not None and abs(best.porosity - wanted) <= TOLERATED:
         return best
     loosest, densest = (wanted + miss for _, miss in known[:2])
+    if densest <= wanted <= loosest:
+        raise ModelError(
+            f"no packing of porosity {wanted:g} and packing friction {friction:g} came to rest in "
+            f"{len(known)} tries, though such packings reach about {densest:.3f} to {loosest:.3f} "
+            f"(radius ratio {draw.law.ratio:g}); try another grains.seed, a higher "
+            "grains.porosity, more grains, or leave grains.packing_friction out"
+        )
     raise ModelError(
         f"porosity {wanted:g} and packing friction {friction:g} contradict each other: with that "
         f"friction packings of radius ratio {draw.law.ratio:g} reach about {densest:.3f} (at "

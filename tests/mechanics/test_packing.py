@@ -1,6 +1,7 @@
 """Packings: porosity, rest, what is named in the product, small and impossible ones."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from model.mechanics.measures import packing_quality, porosity
 from model.mechanics.packing import pack
 from model.mechanics.sizes import draw_radii, sizes_of
-from model.mechanics.targets import PRESSURE
+from model.mechanics.targets import PRESSURE, find_pressure
 from model.outcome import ModelError
 from model.products import Packing
 from model.region import Polygon, Rectangle, bounding_box, contains
@@ -245,6 +246,19 @@ def test_porosity_that_a_friction_cannot_have_names_the_range(wanted, friction) 
     low, high = map(float, re.findall(r"about ([\d.]+) .* to ([\d.]+)", str(caught.value))[0])
     assert low < high
     assert not low < wanted < high
+
+
+def test_packings_in_range_that_do_not_rest_are_told_from_a_contradiction() -> None:
+    """Here porosity falls with pressure as it should, but nothing ever comes to rest."""
+
+    def attempt(recipe, draw=0):
+        porosity = 0.2 - 0.6 * np.sqrt(recipe.pressure)
+        return SimpleNamespace(porosity=porosity, rested=False, specimen=SimpleNamespace(steps=0))
+
+    restless = SimpleNamespace(attempt=attempt, law=SimpleNamespace(ratio=1.66))
+    with pytest.raises(ModelError, match="came to rest") as caught:
+        find_pressure(0.17, 0.3, restless)
+    assert "contradict" not in str(caught.value)
 
 
 def test_quality_of_a_packing_is_as_counted_by_hand() -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from model.mechanics.backbone import contacts_of
 from model.mechanics.contacts import contact_forces
-from model.mechanics.moduli import elastic_moduli
+from model.mechanics.moduli import RIM, elastic_moduli
 from model.mechanics.rock import specimen_of
-from model.mechanics.stiffness import factorise, matrix, solve
+from model.mechanics.stiffness import Contacts, factorise, matrix, solve
 from model.mechanics.stress import load, unit_loads
 from model.mechanics.trial import FAR
 from model.outcome import ModelError
@@ -169,6 +169,46 @@ def test_hexagonal_lattice_has_its_closed_form_moduli(kind: str, ratio: float) -
     )
     assert found.poissons_ratio == pytest.approx((kn - ks) / (3 * kn + ks), abs=1e-6)
     np.testing.assert_allclose(found.stiffness, found.stiffness.T, atol=1e-7)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 2.5])
+def test_lattice_cemented_across_gaps_has_the_moduli_of_its_cement(ratio: float) -> None:
+    rock = packed(None, kind="hexagonal", count=200)
+    solid = 0.98**2 * (1.0 - float(rock.porosity))
+    rock = rock._replace(radius=0.98 * rock.radius, porosity=np.array(1.0 - solid))
+    found = elastic_moduli(rock, stiffness_ratio=ratio, friction=0.5, bonds=STRONG["parallel"])
+    kn, ks = 1.0, 1.0 / ratio
+    modulus = 2 * np.sqrt(3) * kn * (kn + ks) / (3 * kn + ks)
+    assert found.youngs_modulus == pytest.approx(modulus, rel=1e-6)
+    assert found.poissons_ratio == pytest.approx((kn - ks) / (3 * kn + ks), abs=1e-6)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.05, 0.1])
+def test_moduli_are_those_of_the_elastic_energy(gap: float) -> None:
+    """Energy per area is half of strain × stiffness × strain, however stress is averaged."""
+    rock = packed(0.165, count=1000)
+    cement = replace(STRONG["parallel"], installation_gap=gap)
+    found = elastic_moduli(rock, stiffness_ratio=2.5, friction=0.5, bonds=cement)
+    specimen = specimen_of(rock, 1.0, 2.5, 0.5, cement)
+    grains, n = specimen.grains, len(rock.x)
+    inside = np.max(np.abs([grains.x, grains.y]), axis=0) < specimen.box[1] - RIM
+    every = contacts_of(specimen)._replace(walls=(np.empty(0, np.int64),) * 4)
+
+    def stiffness(which: np.ndarray) -> np.ndarray:
+        some = Contacts(every.a[which], every.b[which], every.bond[which], every.walls)
+        return matrix(grains, some, specimen.bonds, specimen.law)[: 3 * n, : 3 * n].toarray()
+
+    whole = stiffness(inside[every.a] | inside[every.b])
+    part = 0.5 * (whole + stiffness(inside[every.a] & inside[every.b]))  # the rim's by half
+    free = np.repeat(inside, 3)
+    u = np.zeros((3 * n, 3))
+    u[0::3, 0], u[1::3, 1] = grains.x, grains.y
+    u[0::3, 2], u[1::3, 2] = 0.5 * grains.y, 0.5 * grains.x
+    u[free] = np.linalg.solve(whole[free][:, free], -whole[free][:, ~free] @ u[~free])
+    area = np.pi * np.sum(grains.radius[inside] ** 2) / (1.0 - float(rock.porosity))
+    compliance = np.linalg.inv(u.T @ part @ u / area)
+    modulus = 0.5 * (1.0 / compliance[0, 0] + 1.0 / compliance[1, 1])
+    assert found.youngs_modulus == pytest.approx(modulus, rel=0.01)
 
 
 def test_contradictions_are_told() -> None:
