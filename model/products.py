@@ -102,15 +102,21 @@ class StrengthTest(NamedTuple):
     youngs_modulus: Array  # () Pa, secant to half of the peak
     poissons_ratio: Array  # ()
     peak_strength: Array  # () Pa: largest axial stress, in tension positive too
-    crack_count: Array  # () bonds broken at the end
+    confining_stress_achieved: Array  # () Pa: mean of the lateral walls up to the peak
+    confining_deviation: Array  # () Pa: largest of either from what was wanted, up to the peak
+    confinement_held: Array  # () 1 where that is small against the peak strength, else 0
+    crack_count: Array  # () bonds and joint contacts broken at the end, k
     cracks_at_peak: Array  # ()
     axial_stress: Array  # (r,) Pa
+    lateral_stress: Array  # (r,) Pa: mean of the lateral walls
     axial_strain: Array  # (r,) in the sense of the test
     lateral_strain: Array  # (r,) opposite to it
-    cracks: Array  # (r,) bonds broken
-    crack_x: Array  # (k,) m: where bonds broke, in the order of breaking
+    cracks: Array  # (r,) bonds and joint contacts broken
+    crack_x: Array  # (k,) m: where they broke, in the order of breaking
     crack_y: Array  # (k,) m
     crack_mode: Array  # (k,) 1 in tension, 2 in shear
+    crack_step: Array  # (k,) time step of it, counted as `steps` are
+    crack_strain: Array  # (k,) axial strain by then, 0 before the test
     box: Array  # (4,) m: walls xmin, xmax, ymin, ymax before the test
     steps: Array  # () time steps taken
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from model.scene import MEASURED_BY_A_TEST
 from model.transient import SMOOTHING
 
 
@@ -132,7 +133,25 @@ CASE: dict[str, Quantity] = {
     "peak_strength": Quantity(
         "Pa", (), "largest axial stress of the test to failure", ("peak_strength",)
     ),
-    "crack_count": Quantity("1", (), "bonds broken at the end of the test", ("crack_count",)),
+    "confining_stress_achieved": Quantity(
+        "Pa", (), "mean stress on the lateral walls of the test up to the peak", MEASURED_BY_A_TEST
+    ),
+    "confining_deviation": Quantity(
+        "Pa",
+        (),
+        "largest deviation of a lateral wall from the confining stress up to it",
+        MEASURED_BY_A_TEST,
+    ),
+    "confinement_held": Quantity(
+        "1",
+        (),
+        "1 where the confining stress was held within 1 % of the peak strength, else 0",
+        MEASURED_BY_A_TEST,
+        comment="where it is 0, a lower test.strain_step holds it better",
+    ),
+    "crack_count": Quantity(
+        "1", (), "bonds and joint contacts broken at the end of the test", ("crack_count",)
+    ),
     "broken_bonds": Quantity("1", (), "bonds that broke under the stress"),
     "static_solver": Quantity("1", (), "1 where the static solver found the stress state, else 0"),
     "mechanical_steps": Quantity(
@@ -210,9 +229,12 @@ TESTS: dict[str, Quantity] = {
     "axial_stress": Quantity("Pa", ("record",), "axial stress in the sense of the test"),
     "axial_strain": Quantity("1", ("record",), "axial strain in the sense of the test"),
     "lateral_strain": Quantity("1", ("record",), "lateral strain opposite to that sense"),
-    "cracks": Quantity("1", ("record",), "bonds broken"),
+    "lateral_stress": Quantity("Pa", ("record",), "stress on the lateral walls"),
+    "cracks": Quantity("1", ("record",), "bonds and joint contacts broken"),
     "crack_x": MAPS["crack_x"],
     "crack_y": MAPS["crack_y"],
     "crack_mode": MAPS["crack_mode"],
+    "crack_step": MAPS["crack_step"],
+    "crack_strain": Quantity("1", ("crack",), "axial strain of the test by the breakage"),
     "box": Quantity("m", ("wall",), "left, right, bottom and top wall before the test"),
 }

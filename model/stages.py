@@ -65,6 +65,9 @@ __all__ = [
 ]
 
 
+CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
+
+
 @dataclass(frozen=True)
 class Stage:
     """One row of the table of stages."""
@@ -128,6 +131,7 @@ def observe(
         }
     if tested is not None:
         found |= {name: getattr(tested, name) for name in MEASURED_BY_A_TEST if name in wanted}
+        found |= {name: getattr(tested, name) for name in CONFINEMENT}
     if stress is not None:
         found["stress_achieved"] = stress.stress
         found["unbalanced_ratio"] = stress.unbalanced_ratio
@@ -227,7 +231,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         function="model.mechanics.packing:pack",
-        version=5,
+        version=6,
         parents=(),
         reads={
             "region": lambda s: s.region,
@@ -281,7 +285,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="model.mechanics.strength:strength",
-        version=4,
+        version=5,
         parents=("pack",),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -363,7 +367,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="model.stages:observe",
-        version=4,
+        version=5,
         parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={
             "region": lambda s: s.region,

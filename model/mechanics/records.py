@@ -92,6 +92,12 @@ def broken(specimen: Specimen) -> Broken:
     )
 
 
+def crack_count(specimen: Specimen) -> int:
+    """Number of bonds and joint contacts that broke since the specimen was made."""
+    cracks = specimen.bonds.cracks, specimen.joints.cracks
+    return sum(int(np.count_nonzero(some.step >= 0)) for some in cracks)
+
+
 def bond_of_pair(bond: Array, bonds: BondState) -> Array:
     """Index of the intact bond of each pair, −1 where there is none."""
     intact = bond.astype(np.int64)

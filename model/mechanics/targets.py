@@ -41,7 +41,7 @@ RECIPES = np.array(
 )
 LOOSE = RECIPES[4:]  # those in which friction decides; a given friction starts as they do
 SCATTER = 0.15  # of the porosity between draws, times the root of the number of grains
-ACCEPTED, TOLERATED = 0.003, 0.005  # error in porosity: at once; after the last try
+TOLERANCE = 0.003  # error in porosity
 TRIES = 10
 
 
@@ -137,7 +137,7 @@ def find_friction(wanted: float, pressure: float, draw: Draw) -> Trial:
         miss = trial.porosity - wanted
         if trial.rested and (best is None or abs(miss) < abs(best.porosity - wanted)):
             best = trial
-        if best is not None and abs(best.porosity - wanted) <= ACCEPTED:
+        if best is not None and abs(best.porosity - wanted) <= TOLERANCE:
             return best
         if miss < 0:
             dense = nominal
@@ -147,13 +147,11 @@ def find_friction(wanted: float, pressure: float, draw: Draw) -> Trial:
             nominal = 0.5 * (dense + loose)
         elif (miss < 0 and nominal == greatest) or (miss > 0 and nominal == least):
             scatter = SCATTER / np.sqrt(len(trial.specimen.grains.x))
-            if abs(miss) > TOLERATED + scatter:
+            if abs(miss) > TOLERANCE + scatter:
                 break
             number += 1
         else:
             nominal = min(max(nominal - 1.2 * miss, least), greatest)
-    if best is not None and abs(best.porosity - wanted) <= TOLERATED:
-        return best
     ratio = draw.law.ratio
     if dense is None or loose is None:
         low, high = (draw.attempt(by_porosity(end, pressure)).porosity for end in (least, greatest))
@@ -193,10 +191,8 @@ def find_pressure(wanted: float, friction: float, draw: Draw) -> Trial:
         known.append((float(root), miss))
         if trial.rested and (best is None or abs(miss) < abs(best.porosity - wanted)):
             best = trial
-        if best is not None and abs(best.porosity - wanted) <= ACCEPTED:
+        if best is not None and abs(best.porosity - wanted) <= TOLERANCE:
             return best
-    if best is not None and abs(best.porosity - wanted) <= TOLERATED:
-        return best
     loosest, densest = (wanted + miss for _, miss in known[:2])
     if densest <= wanted <= loosest:
         raise ModelError(

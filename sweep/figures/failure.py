@@ -51,10 +51,10 @@ def draw_failure(
     if len(cases) > 1:
         first = [a for a in axes(dataset) if a not in ensembles and dataset.sizes[a] > 1][0]
         curves.legend(title=axis_title(first), title_fontsize=8.5)
-    counts.set(ylim=(0.0, None), xlabel="axial strain (%)", ylabel="broken bonds")
+    counts.set(ylim=(0.0, None), xlabel="axial strain (%)", ylabel="cracks")
     for panel, k in zip(maps, chosen, strict=True):
         _draw_cracks(panel, tests[k], cases[k][0])
-    return save(figure, path, "Tests to failure: stress, broken bonds, and cracks at the end")
+    return save(figure, path, "Tests to failure: stress, cracks, and where they are at the end")
 
 
 def _cases(dataset: xr.Dataset, ensembles: Set[str]) -> list[tuple[str, Index]]:

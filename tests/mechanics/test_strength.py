@@ -10,7 +10,7 @@ from model.mechanics.strength import GAUGE, relieve, strength
 from model.mechanics.stress import load, unit_loads
 from model.outcome import ModelError
 from model.products import Packing, StrengthTest
-from model.scene import Bonds, FailureTest, Stress
+from model.scene import Bonds, FailureTest, Joint, JointLine, Stress
 from tests.mechanics.rocks import packed
 
 KN = 62e9
@@ -100,6 +100,70 @@ def test_cracks_are_told_with_place_and_mode(rock) -> None:
     assert set(np.unique(found.crack_mode)) <= {1, 2}
     width = found.box[1] - found.box[0]
     assert np.all(np.abs(found.crack_x - 0.5 * (found.box[0] + found.box[1])) < 0.55 * width)
+
+
+def test_breakage_is_told_with_step_and_strain(rock) -> None:
+    """Cracks come in order, none before the test, and as many by each strain as are counted."""
+    for kind in ("biaxial", "tension"):
+        found = to_failure(rock, bonds(), kind=kind, confining_stress=1e6)
+        assert len(found.crack_step) == len(found.crack_strain) == int(found.crack_count) > 3
+        assert np.all(np.diff(found.crack_step) >= 0)
+        assert np.all((found.crack_step > 0) & (found.crack_step <= int(found.steps)))
+        for k in range(0, len(found.cracks), 7):
+            counted = int(found.cracks[k])
+            assert np.all(found.crack_strain[:counted] <= found.axial_strain[: k + 1].max())
+            assert np.all(found.crack_strain[counted:] >= found.axial_strain[k:].min())
+
+
+@pytest.mark.parametrize("confining", [0.1e6, 1e6, 10e6])
+def test_confining_stress_is_held_by_a_slow_test(rock, confining: float) -> None:
+    found = to_failure(rock, bonds(), confining_stress=confining, strain_step=2e-7)
+    peak = int(np.argmax(found.axial_stress))
+    assert found.axial_stress[0] == pytest.approx(confining, rel=0.02)
+    assert found.lateral_stress[0] == pytest.approx(confining, rel=0.02)
+    assert int(found.confinement_held) == 1
+    assert float(found.confining_deviation) < 0.01 * float(found.peak_strength)
+    assert float(found.confining_stress_achieved) == pytest.approx(
+        found.lateral_stress[: peak + 1].mean()
+    )
+    assert abs(float(found.confining_stress_achieved) - confining) <= 0.3e6
+
+
+def test_confining_stress_that_a_fast_test_loses_is_told(rock) -> None:
+    """The walls lag behind grains that widen, the more the faster the platens are."""
+    slow, fast = (
+        to_failure(rock, bonds(), confining_stress=1e5, strain_step=step) for step in (1e-6, 2e-5)
+    )
+    assert float(fast.confining_deviation) > 2.0 * float(slow.confining_deviation)
+    assert int(fast.confinement_held) == 0
+
+
+def test_a_membrane_holds_its_stress(rock) -> None:
+    found = to_failure(rock, bonds(), confining_stress=5e6, confinement="membrane")
+    assert float(found.confining_stress_achieved) == pytest.approx(5e6)
+    assert float(found.confining_deviation) < 1.0
+
+
+def test_grains_that_do_not_bear_the_confining_stress_are_told(monkeypatch) -> None:
+    """With too few steps nothing is at rest, and no half-loaded specimen is tested."""
+    monkeypatch.setattr("model.mechanics.strength.HOLDING", 10)
+    with pytest.raises(ModelError, match="does not hold the confining stress of 1e"):
+        to_failure(packed(0.165, count=400), bonds(), confining_stress=10e6)
+    monkeypatch.setattr("model.mechanics.strength.RELIEVING", 10)
+    with pytest.raises(ModelError, match="relieved"):
+        to_failure(packed(0.165, count=400), bonds(), confining_stress=10e6)
+
+
+def test_cemented_joints_count_as_they_break(rock) -> None:
+    joint = Joint(normal_stiffness=2e13, shear_stiffness=2e13, friction=0.4, cohesion=2e7,
+                  tensile_strength=2e7)  # fmt: skip
+    plane = JointLine((-3.0, -3.0), (3.0, 3.0), joint)
+    found = strength(
+        rock, bonds=bonds(), joints=(plane,),
+        test=FailureTest(strain_step=1e-6, confining_stress=1e6, confinement="membrane"),
+        **CONTACTS,
+    )  # fmt: skip
+    assert int(found.crack_count) == len(found.crack_x) == found.cracks[-1] > 10
 
 
 def test_slower_is_the_same(rock) -> None:
