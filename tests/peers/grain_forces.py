@@ -22,32 +22,63 @@ from tests.peers.yade import run_in_yade
 
 DATA = Path(__file__).parent.parent / "mechanics" / "data"
 STIFFNESS_RATIO, FRICTION = 2.5, 0.5
+MODULUS = 1.0  # of parallel bonds, over k_n
 
 
 class Case(NamedTuple):
     """How a consolidated packing is loaded; stresses over k_n."""
 
-    bonded: bool
+    bonds: str | None  # their kind
     xx: float
     yy: float
+    friction: float = FRICTION
 
     def load(self, packing: Packing) -> StressState:
         """The packing under these stresses, by the public stage."""
-        strong = Bonds(kind="contact", tensile_strength=1e9, shear_strength=1e9)
+        strong = None
+        if self.bonds is not None:
+            strong = Bonds(
+                kind=self.bonds,
+                modulus=MODULUS if self.bonds == "parallel" else None,
+                tensile_strength=1e9,
+                shear_strength=1e9,
+            )
         return stress(
             packing,
             normal_stiffness=1.0,
             stiffness_ratio=STIFFNESS_RATIO,
-            friction=FRICTION,
-            bonds=strong if self.bonded else None,
+            friction=self.friction,
+            bonds=strong,
             stress=Stress(xx=self.xx, yy=self.yy),
         )
+
+    def springs(self, packing: Packing) -> dict[str, np.ndarray]:
+        """Stiffness (c,) of each contact and its bond, over k_n and in mean radii.
+
+        A parallel bond, k̄_n = Ē_c 2 R̄ / (R_a + R_b) and k̄_n R̄² / 3 against rotation, stands
+        beside its contact and is free of force where that overlaps by `installed`: one spring
+        of k_n + k̄_n that starts from a smaller overlap, for Yade's law has but one. Contacts
+        must neither open nor slip (a high friction) for that.
+        """
+        unit = float(packing.radius.mean())
+        a, b, radius = packing.contact_a, packing.contact_b, packing.radius / unit
+        bond = np.zeros(len(a))
+        half = np.minimum(radius[a], radius[b])
+        if self.bonds == "parallel":
+            bond = MODULUS * 2.0 * half / (radius[a] + radius[b])
+        installed = packing.normal_force / unit
+        return {
+            "kn": 1.0 + bond,
+            "kr": bond * half**2 / 3.0,
+            "unloaded": bond * installed / (1.0 + bond),
+        }
 
 
 PRESSURE = 5e-4  # under which the packings are consolidated
 CASES = {
-    "unbonded": Case(False, PRESSURE, 1.2 * PRESSURE),
-    "bonded": Case(True, PRESSURE, 2.0 * PRESSURE),
+    "unbonded": Case(None, PRESSURE, 1.2 * PRESSURE),
+    "bonded": Case("contact", PRESSURE, 2.0 * PRESSURE),
+    "parallel": Case("parallel", 2.0 * PRESSURE, 4.0 * PRESSURE, friction=1e3),
 }
 
 
@@ -62,7 +93,7 @@ def specimen() -> Packing:
         porosity=0.158,
         seed=4,
     )
-    state = Case(False, PRESSURE, PRESSURE).load(packing)
+    state = Case(None, PRESSURE, PRESSURE).load(packing)
     consolidated = packing._replace(
         x=state.x,
         y=state.y,
@@ -132,7 +163,7 @@ def yade_forces(
     """Load the packing in Yade to where `state` has its walls; what `yade_load.py` returns."""
     unit = float(packing.radius.mean())
     centre = 0.5 * np.array([packing.box[0] + packing.box[1], packing.box[2] + packing.box[3]])
-    limit = FRICTION * packing.normal_force
+    limit = case.friction * packing.normal_force
     return run_in_yade(
         "yade_load.py",
         x=(packing.x - centre[0]) / unit,
@@ -143,9 +174,10 @@ def yade_forces(
         shear=np.clip(packing.shear_force, -limit, limit) / unit,
         box=(packing.box - np.repeat(centre, 2)) / unit,
         box_end=(state.box - np.repeat(centre, 2)) / unit,
+        **{f"spring_{key}": value for key, value in case.springs(packing).items()},
         ks=1.0 / STIFFNESS_RATIO,
-        friction=FRICTION,
-        bonded=case.bonded,
+        friction=case.friction,
+        bonded=case.bonds is not None,
         steps=steps,
         ratio=float(state.unbalanced_ratio),
         damping=0.2,

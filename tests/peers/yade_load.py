@@ -4,8 +4,10 @@
 
 Lengths in mean radii, forces in k_n times the mean radius. IN holds the grains (x, y, radius),
 their contacts with shear forces (a, b, shear), the walls before and after (box, box_end), the
-shear stiffness `ks`, the `friction`, whether the contacts are `bonded`, the `steps` of the
-walls' way and the unbalanced `ratio` to reach afterwards. OUT holds the contact forces.
+shear stiffness `ks` over the normal one, the `friction`, whether the contacts are `bonded`, the
+`steps` of the walls' way and the unbalanced `ratio` to reach then; for bonds also the stiffness of
+each listed contact (spring_kn, spring_kr against rotation) and the overlap at which it bears no
+normal force (spring_unloaded). OUT holds the contact forces, and the moments of bonds.
 """
 
 import math
@@ -42,7 +44,10 @@ x, y, radius = case["x"], case["y"], case["radius"]
 n = len(x)
 
 common = {"young": 1.0, "poisson": 0.5, "density": 1.0}
-kind = {"normalCohesion": 1e9, "shearCohesion": 1e9, "isCohesive": True} if bonded else {}
+kind = {}
+if bonded:
+    kind = {"normalCohesion": 1e9, "shearCohesion": 1e9, "isCohesive": True}
+    kind |= {"momentRotationLaw": True, "etaRoll": -1.0, "etaTwist": -1.0}
 O.materials.append(
     (CohFrictMat if bonded else FrictMat)(
         frictionAngle=math.atan(friction), label="grain", **common, **kind
@@ -76,11 +81,21 @@ O.engines = [
 ]
 
 
+pairs = np.column_stack([case["a"], case["b"]]).tolist()
+springs = zip(case["spring_kn"], case["spring_kr"], case["spring_unloaded"], strict=True)
+spring_of = {
+    (a, b): tuple(map(float, spring)) for (a, b), spring in zip(pairs, springs, strict=True)
+}
+
+
 def equal_stiffness():
     """Give contacts between bondable grains, which Yade makes from a modulus, ours instead."""
     for contact in O.interactions:
-        if contact.phys.kn != 1.0:
-            contact.phys.kn, contact.phys.ks = 1.0, ks
+        a, b = sorted((contact.id1, contact.id2))
+        kn, kr, unloaded = spring_of.get((a, b), (1.0, 0.0, 0.0))
+        if b < n and contact.phys.kn != kn:
+            contact.phys.kn, contact.phys.ks, contact.phys.kr = kn, ks * kn, kr
+            contact.phys.unp = unloaded
 
 
 if bonded:
@@ -89,9 +104,9 @@ if bonded:
 # a step of no time finds the contacts, which then get their shear forces
 O.dt = 1e-15
 O.step()
-pairs = np.column_stack([case["a"], case["b"]]).tolist()
-shear_of = {(a, b): case["shear"][k] for k, (a, b) in enumerate(pairs)}
-equal_stiffness()
+shear_of = {(a, b): force for (a, b), force in zip(pairs, case["shear"].tolist(), strict=True)}
+if bonded:
+    equal_stiffness()
 for contact in O.interactions:
     a, b = sorted((contact.id1, contact.id2))
     if b < n:
@@ -127,7 +142,8 @@ for contact in O.interactions:
         normal = contact.geom.normal * sign
         tangent = Vector3(-normal[1], normal[0], 0)
         compression = contact.phys.normalForce.dot(contact.geom.normal)
-        rows.append((a, b, compression, contact.phys.shearForce.dot(tangent) * sign))
+        moment = contact.phys.moment_bending[2] if bonded else 0.0
+        rows.append((a, b, compression, contact.phys.shearForce.dot(tangent) * sign, moment))
 order = np.array(sorted(rows))
 np.savez(
     os.environ["RESULT"],
@@ -135,6 +151,7 @@ np.savez(
     b=order[:, 1].astype(int),
     normal=order[:, 2],
     shear=order[:, 3],
+    moment=order[:, 4],
     walls=np.array([abs(O.forces.f(body)[side // 2]) for side, body in enumerate(walls)]),
     ratio=ratio(),
     steps=O.iter,
