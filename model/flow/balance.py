@@ -7,7 +7,8 @@ that follow: the pressure is kept as a sum of two doubles p + δ, the flow is
 g ((pᵢ − pⱼ) + (δᵢ − δⱼ)), and what does not balance is solved for again. What is left then,
 where strong pipes lead nowhere, is drained along the tree of the strongest edges.
 
-Each of these is done only where the balance asks for it.
+Each of these is done only where the balance asks for it. A drained network balances whatever
+its pressures are, so that what tells how good they are is taken before: `SteadyFlow.misfit`.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ class SteadyFlow(NamedTuple):
     edge: np.ndarray  # (e,) flow from edge_i to edge_j, m³/s
     link: np.ndarray  # (f,) flow from the fixed pressure into fixed_node, m³/s
     imbalance: float  # largest of a pore, over the flow through it or through stagnant ones
+    misfit: float  # the same before draining, of the whole too, or the share of a flow drained
     refinements: int
 
     def inflow(self, system: System, source: int) -> np.ndarray:
@@ -76,41 +78,96 @@ def steady_flow(system: System, factor: Factor, source: int) -> SteadyFlow:
             pressure,
             remainder,
         )
-        net, pore, whole = _balance(system, edge, link, well, nothing)
-        asked = max(pore / PORE_BALANCED, whole / WHOLE_BALANCED)
+        found = _balance(system, edge, link, well, nothing)
+        asked = max(found.pore / PORE_BALANCED, found.whole / WHOLE_BALANCED)
         if asked <= 1.0 or asked > 0.5 * best or refinements == MOST_REFINEMENTS:
             break
         best = asked
-        correction = remainder + solve(factor, net)
+        correction = remainder + solve(factor, found.net)
         refined = pressure + correction
         remainder = correction - (refined - pressure)
         pressure = refined
-    if pore > PORE_BALANCED:
-        _drain(system, edge, link, net)
-        _, pore, _ = _balance(system, edge, link, well, nothing)
-    return SteadyFlow(pressure, remainder, edge, link, pore, refinements)
+    misfit = max(found.pore, found.whole)
+    if found.pore > PORE_BALANCED:
+        along_edge, along_link = _drain(system, edge, link, found.net)
+        found = _balance(system, edge, link, well, nothing)
+        least = np.minimum(found.passes[system.edge_i], found.passes[system.edge_j])
+        misfit = max(
+            misfit,
+            np.max(np.abs(along_edge) / least, initial=0.0),
+            np.max(np.abs(along_link) / found.passes[system.fixed_node], initial=0.0),
+        )
+    return SteadyFlow(pressure, remainder, edge, link, found.pore, float(misfit), refinements)
+
+
+def transient_misfit(
+    system: System,
+    factor: Factor,
+    shift: float,
+    source: int,
+    pressure: np.ndarray,
+    rate: np.ndarray,
+) -> float:
+    """How far a transient is from C dp/dt + G p = f at one time, relative.
+
+    `factor` is that of G + s C, `shift` its s. The pressure (n,) that goes with the rate (n,)
+    of change is p + δ, (G + s C) δ what p leaves in each pore; the larger of max |δ| / max |p|
+    and what p + δ, kept in two parts, leaves in all pores over the flow through them: that is
+    s C δ where the factor is good, and everything where it is not.
+    """
+    of_rate = source >= system.fixed_count
+    held = (system.fixed_source == source).astype(float)
+    well = system.source(source) if of_rate else np.zeros(system.n)
+    well = well - system.storage * rate
+    ends = (system.edge_i, system.edge_j)
+    links = (system.fixed_node, system.fixed_g, held)
+    edge, link = _flows(*ends, system.edge_g, *links, pressure, np.zeros(system.n))
+    net, _ = _nets(*ends, system.fixed_node, edge, link, well)
+    change = solve(factor, net)
+    edge, link = _flows(*ends, system.edge_g, *links, pressure, change)
+    net, _ = _nets(*ends, system.fixed_node, edge, link, well)
+    through = np.abs(well).sum() + np.abs(link).sum() + shift * system.storage @ np.abs(pressure)
+    size = np.abs(pressure).max(initial=0.0)
+    moved = np.abs(change).max(initial=0.0) / size if size > 0.0 else 0.0
+    return float(max(moved, np.abs(net).sum() / through if through > 0.0 else 0.0))
+
+
+class Balance(NamedTuple):
+    """What stays in the unknowns when flows are summed in each."""
+
+    net: np.ndarray  # (n,) m³/s
+    passes: np.ndarray  # (n,) the flow through each, or through a stagnant one
+    pore: float  # the worst |net| over what passes
+    whole: float  # |Σ net| over the flow through the whole
 
 
 def _balance(
     system: System, edge: np.ndarray, link: np.ndarray, well: np.ndarray, nothing: float
-) -> tuple[np.ndarray, float, float]:
-    """What stays in each unknown (n,), the worst of it over what passes, and that of the whole."""
+) -> Balance:
+    """Sum flows in each unknown and in the whole."""
     net, through = _nets(system.edge_i, system.edge_j, system.fixed_node, edge, link, well)
     whole = max(np.abs(link).sum() + np.abs(well).sum(), nothing)
     if whole == 0.0:
-        return net, 0.0, 0.0
+        return Balance(net, np.ones(system.n), 0.0, 0.0)
     passes = np.maximum(through, max(STAGNANT * whole, nothing))
-    return net, float(np.max(np.abs(net) / passes, initial=0.0)), float(abs(net.sum()) / whole)
+    pore = float(np.max(np.abs(net) / passes, initial=0.0))
+    return Balance(net, passes, pore, float(abs(net.sum()) / whole))
 
 
-def _drain(system: System, edge: np.ndarray, link: np.ndarray, net: np.ndarray) -> None:
-    """Lead what stays in each unknown to a fixed pressure, along the strongest edges (in place)."""
+def _drain(
+    system: System, edge: np.ndarray, link: np.ndarray, net: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lead what stays in each unknown to a fixed pressure, along the strongest edges (in place).
+
+    What is led along each edge (e,) and into each link (f,).
+    """
     a = np.concatenate([system.edge_i, system.fixed_node])
     b = np.concatenate([system.edge_j, np.full(len(link), system.n)])
     by_strength = np.argsort(-np.concatenate([system.edge_g, system.fixed_g]), kind="stable")
     along = _drained(system.n, a, b, _spanning_tree(system.n + 1, a, b, by_strength), net)
     edge += along[: len(edge)]
     link -= along[len(edge) :]
+    return along[: len(edge)], along[len(edge) :]
 
 
 @kernel

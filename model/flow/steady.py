@@ -12,7 +12,8 @@ from model.outcome import ModelError
 def steady(problem: Problem) -> Answer:
     """Solve G p = f for a unit of each active source; the one lag is infinity.
 
-    The residual is the largest imbalance of a pore over the flow through it.
+    The residual is the largest imbalance of a pore over the flow through it, before anything
+    was drained, or the largest share of a flow that was (`SteadyFlow.misfit`).
 
     Raises `ModelError` where some pore is connected to no fixed pressure.
     """
@@ -32,6 +33,6 @@ def steady(problem: Problem) -> Answer:
         answer.output[k, 0] = records.rows @ found.pressure + records.direct[k]
         answer.output[k, 0, flows] = found.inflow(system, k)
         answer.pressure[k] = fill_map(problem, k, found.pressure[None])
-        residual = max(residual, found.imbalance)
+        residual = max(residual, found.imbalance, found.misfit)
         work += 1 + found.refinements
     return answer._replace(residual=residual, work=work)

@@ -78,8 +78,13 @@ def reference(system: System, rhs: np.ndarray) -> np.ndarray:
     return x
 
 
-def residual(system: System, rhs: np.ndarray, p: np.ndarray, rest: np.ndarray) -> np.ndarray:
-    """What does not balance in each unknown, from flows along edges in extended precision, (n,)."""
+def residual(
+    system: System, rhs: np.ndarray, p: np.ndarray, rest: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What does not balance in each unknown (n,), and half of what enters and leaves it (n,).
+
+    From flows along edges, which the two parts of a pressure alone give, in extended precision.
+    """
     p, rest = p.astype(np.longdouble), rest.astype(np.longdouble)
     i, j = system.edge_i, system.edge_j
     flow = system.edge_g * ((p[i] - p[j]) + (rest[i] - rest[j]))
@@ -88,4 +93,7 @@ def residual(system: System, rhs: np.ndarray, p: np.ndarray, rest: np.ndarray) -
     np.add.at(net, j, flow)
     node = system.fixed_node
     np.subtract.at(net, node, system.fixed_g * (p[node] + rest[node]))
-    return net
+    through = np.abs(rhs - system.excess * p)
+    np.add.at(through, i, np.abs(flow))
+    np.add.at(through, j, np.abs(flow))
+    return net, through / 2
