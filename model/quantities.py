@@ -105,7 +105,14 @@ CASE: dict[str, Quantity] = {
     "mass_balance_error": Quantity(
         "1", (), "largest imbalance of stored, injected and boundary volume over the volume moved"
     ),
-    "residual": Quantity("1", (), "residual of the flow equation at the last time, relative"),
+    "residual": Quantity(
+        "1",
+        (),
+        "residual of the flow equation at the last time, relative",
+        comment="before any repair of the balance; steady: the largest imbalance of a pore over "
+        "the flow through it; transient: the correction of pressure that balances every pore, "
+        "over the largest pressure",
+    ),
     "estimated_error": Quantity(
         "1",
         (),

@@ -343,7 +343,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=9,
+        version=10,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -352,7 +352,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="model.flow.solvers:flow",
-        version=5,
+        version=6,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from model.flow.algebraic import Algebraic, algebraic
+from model.flow.balance import transient_misfit
 from model.flow.factor import Factor, Symbolic, analyse, factorise, solve
-from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative_residual
+from model.flow.problem import Answer, Problem, empty_answer, fill_map
 from model.flow.system import System
 from model.outcome import ModelError
 
@@ -105,13 +106,17 @@ class Ladder:
         """Length of a rung's step, s."""
         return float(2.0 ** (rung / RUNGS_PER_OCTAVE))
 
+    @staticmethod
+    def shift(rung: int) -> float:
+        """The s of a rung's matrix G + s C, 1/s."""
+        return 1.0 / (GAMMA * Ladder.step(rung))
+
     def factor(self, rung: int) -> Factor:
         """Factor for the step of a rung; the oldest goes where memory runs short."""
         if rung not in self._kept:
             if len(self._kept) >= self._most:
                 del self._kept[next(iter(self._kept))]
-            shift = 1.0 / (GAMMA * self.step(rung))
-            excess = self.system.excess + shift * self.system.storage
+            excess = self.system.excess + self.shift(rung) * self.system.storage
             self._kept[rung] = factorise(self.symbolic, self.system.edge_g, excess)
             self.made += 1
         return self._kept[rung]
@@ -129,11 +134,11 @@ def implicit(problem: Problem) -> Answer:
     error = residual = 0.0
     work = 0
     for k in problem.active_sources:
-        estimate, last, solves = _march(problem, k, wells, ladder, answer)
+        estimate, last, rung, solves = _march(problem, k, wells, ladder, answer)
         error = max(error, estimate)
-        residual = max(
-            residual, relative_residual(system, system.source(k), last.rate, last.pressure)
-        )
+        shift, factor = ladder.shift(rung), ladder.factor(rung)
+        misfit = transient_misfit(system, factor, shift, k, last.pressure, last.rate)
+        residual = float(np.maximum(residual, misfit))
         work += solves
     return answer._replace(time_error=error, residual=residual, work=work + ladder.made)
 
@@ -193,14 +198,14 @@ def weights_at(part: float) -> np.ndarray:
 
 def _march(
     problem: Problem, source: int, wells: Algebraic, ladder: Ladder, answer: Answer
-) -> tuple[float, State, int]:
-    """Fill one source's part of the answer (in place); error estimate, end, solves."""
+) -> tuple[float, State, int, int]:
+    """Fill one source's part of the answer (in place); error estimate, end, last rung, solves."""
     system, lags = problem.system, problem.lag
     rhs = system.source(source)
     gauge = _Gauge(problem, source)
     state = initial_state(system, wells, rhs)
     fields = np.zeros((len(lags) if len(problem.domain) else 0, system.n))
-    rung = ladder.rung(_first_step(problem, state))
+    rung = last = ladder.rung(_first_step(problem, state))
     share = LOCAL_SHARE * problem.tolerance**0.125
     allowed = share * problem.tolerance
     worst, tried, done = 0.0, 0, 0
@@ -228,10 +233,10 @@ def _march(
             step.increment[-1] / size,
             state.volume + _let_in(problem, source, step, WEIGHTS),
         )
-        rung = ladder.rung(size * min(growth, MOST_GROWTH))
+        last, rung = rung, ladder.rung(size * min(growth, MOST_GROWTH))
     if len(problem.domain):
         answer.pressure[source] = fill_map(problem, source, fields)
-    return worst, state, tried * (len(STAGES) - 1)
+    return worst, state, last, tried * (len(STAGES) - 1)
 
 
 def _first_step(problem: Problem, state: State) -> float:

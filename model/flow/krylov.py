@@ -19,8 +19,9 @@ from collections.abc import Callable
 import numpy as np
 
 from model.flow.algebraic import algebraic
+from model.flow.balance import transient_misfit
 from model.flow.factor import Factor, Symbolic, analyse, factorise
-from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative_residual
+from model.flow.problem import Answer, Problem, empty_answer, fill_map
 from model.flow.subspace import Basis, Subspace
 from model.flow.system import System
 from model.network.connectivity import reached
@@ -94,8 +95,11 @@ def krylov(problem: Problem) -> Answer:
         if space.size:
             error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag)))
         basis = space.close(LAST_NOISE * problem.tolerance)
-        _record(problem, k, basis, direct, answer)
-        residual = max(residual, _residual(problem, k, basis, direct))
+        last, repaired = _record(problem, k, basis, direct, answer)
+        shift, factor = factors.near(1.0 / (problem.lag[-1] or 1.0))
+        rate = basis.vectors @ basis.modes.rate(problem.lag[-1:])[0]
+        misfit = transient_misfit(system, factor, shift, k, last, rate)
+        residual = float(np.max([residual, misfit, repaired]))
         work += space.solves
     return answer._replace(time_error=error, residual=residual, work=work + factors.made)
 
@@ -313,45 +317,46 @@ class Growth:
 
 def _record(
     problem: Problem, source: int, basis: Basis, direct: np.ndarray, answer: Answer
-) -> None:
-    """Fill one source's part of the answer (in place)."""
+) -> tuple[np.ndarray, float]:
+    """Fill one source's part of the answer (in place).
+
+    The pressure (n,) at the last lag, and the largest volume that had to be put right (see
+    `_balanced`) over the volume moved.
+    """
     records, lag = problem.records, problem.lag
     alone = records.rows @ direct + records.direct[source]
     flows = slice(records.well_rows, records.well_rows + records.flow_rows)
     through = records.rows[flows] @ direct
     given = float(problem.system.source(source).sum() + through.sum())
-    pressure, integral = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
+    pressure, integral, missing = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
     answer.output[source] = pressure @ basis.rows.T + alone
     answer.cumulative[source, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
     answer.cumulative[source, :, -1] = pressure @ basis.stored
     if len(problem.domain):
         fields = pressure @ basis.vectors.T + direct
         answer.pressure[source] = fill_map(problem, source, fields)
+    moved = np.abs(answer.cumulative[source]).sum(axis=1)
+    later = (lag > 0.0) & (moved > 0.0)
+    repaired = np.max(missing[later] / moved[later], initial=0.0)
+    return basis.vectors @ pressure[-1] + direct, float(repaired)
 
 
 def _balanced(
     basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients (l, m) of the pressure and of its integral, which keep the volume.
 
     The constants lie in the space, so that what the fixed pressures let in, `let_in` (m,) of
     each vector, is what is stored less what is `given`. Behind a barrier the pressures that
     drive it are nothing but round-off beside those before it. The smallest change in the
-    C-norm restores it.
+    C-norm restores it. What was missing (l,), m³, comes with them.
     """
     pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
     size = float(let_in @ let_in)
     if size > 0.0:
         missing = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
         pressure += missing[:, None] * (let_in / size)
-        missing = pressure @ basis.stored - given * lag - integral @ let_in
+    missing = pressure @ basis.stored - given * lag - integral @ let_in
+    if size > 0.0:
         integral += missing[:, None] * (let_in / size)
-    return pressure, integral
-
-
-def _residual(problem: Problem, source: int, basis: Basis, direct: np.ndarray) -> float:
-    """Relative residual of the flow equation at the last lag."""
-    last = problem.lag[-1:]
-    p = basis.vectors @ basis.modes.pressure(last)[0] + direct
-    rate = basis.vectors @ basis.modes.rate(last)[0]
-    return relative_residual(problem.system, problem.system.source(source), rate, p)
+    return pressure, integral, np.abs(missing)

@@ -176,19 +176,20 @@ class Subspace:
         self._triangle = _edge_triangle(system, self._unscaled(), m)
         # or the errors of the recurrence would grow with every further vector
         self._projected[:m, :m] = self._triangle.T @ self._triangle
-        self._space[: system.pores, :m] *= self.root[:, None]
+        self._scale()
 
     def close(self, noise: float) -> Basis:
         """Complete the space by the constants, so that volume is conserved.
 
-        The projection is measured where its round-off may exceed `noise`. The space is used
-        up by this.
+        What A does to them no solve tells; it comes from edge differences, since a product with
+        A would leave round-off of the strongest edge, however little flows there. The projection
+        is measured where its round-off may exceed `noise`. The space is used up by this.
         """
-        system, pores = self.system, self.system.pores
+        system = self.system
         if self._append(self.root):
             m = self.count
-            image = self._applied(self._space[:pores, m - 1])
-            column = self._space[:pores, :m].T @ image
+            column = _last_column(system, self._unscaled(), m)
+            self._scale()
             column[: self.start] = 0.0
             self._projected[:m, m - 1] = self._projected[m - 1, :m] = column
         if self.noise() > noise:
@@ -206,6 +207,10 @@ class Subspace:
             lifted = self.wells.coupling @ self._space[:pores, :m]
             self._space[pores:, :m] = self.wells.inverse @ lifted
         return self._space
+
+    def _scale(self) -> None:
+        """Undo `_unscaled`."""
+        self._space[: self.system.pores, : self.count] *= self.root[:, None]
 
     def _append(self, vector: np.ndarray) -> bool:
         """Orthonormalise a vector (pores,) against the space and append it, if anything is left."""
@@ -283,6 +288,18 @@ def _edge_triangle(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
         held = root_fixed[part, None] * vectors[system.fixed_node[part], :m]
         triangle = np.asarray(np.linalg.qr(np.concatenate([triangle, held]), mode="r"))
     return triangle
+
+
+def _last_column(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
+    """The last column of VᵀGV, (m,), from differences along edges."""
+    column = np.zeros(m)
+    edges, root_g = len(system.edge_i), np.sqrt(system.edge_g)
+    for lo in range(0, edges, BLOCK_ROWS):
+        rows = np.empty((min(BLOCK_ROWS, edges - lo), m))
+        _edge_differences(vectors, system.edge_i, system.edge_j, root_g, lo, rows)
+        column += rows.T @ rows[:, -1]
+    held = vectors[system.fixed_node, :m]
+    return np.asarray(column + held.T @ (system.fixed_g * held[:, -1]))
 
 
 @kernel

@@ -5,8 +5,11 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from model.flow.balance import steady_flow
-from model.flow.factor import analyse, factorise
+from model.flow import balance as balance_module
+from model.flow import implicit as implicit_module
+from model.flow import subspace as subspace_module
+from model.flow.balance import steady_flow, transient_misfit
+from model.flow.factor import analyse, factorise, solve
 from model.flow.system import System
 from model.network.apertures import open_pipes
 from model.network.domains import network
@@ -129,10 +132,8 @@ def test_a_pressure_without_a_sink_moves_nothing():
     assert found.imbalance < 1e-9
 
 
-@pytest.mark.parametrize("kind", ["fracture", "barrier"])
-@pytest.mark.parametrize("contrast", [1e9, 1e12, 1e14])
-def test_a_rock_balances_at_any_contrast(kind, contrast):
-    """As a user sees it: flows of the boundaries and of the well, balance and residual."""
+def cut_rock(kind: str, contrast: float) -> Reservoir:
+    """Random pores with a fracture or a barrier across them."""
     region = Rectangle(2.0, 2.0)
     line = {"name": kind, "start": (-0.7, -0.4), "end": (0.6, 0.7)}
     if kind == "fracture":
@@ -150,8 +151,87 @@ def test_a_rock_balances_at_any_contrast(kind, contrast):
         fractures=(fracture,),
         viscosity=1e-3,
     )
-    rock = Reservoir(region, net, opened, 1e9)
-    well = Well(name="well", at=(0.0, 0.02), radius=0.1, rate=1e-6)
-    seen = rock.observed((well,), (("left", 2e6), ("right", 1e6), ("top", 1.5e6)), method="steady")
+    return Reservoir(region, net, opened, 1e9)
+
+
+CUT = {
+    (kind, contrast): cut_rock(kind, contrast)
+    for kind in ("fracture", "barrier")
+    for contrast in (1e9, 1e12, 1e14)
+}
+WELL = (Well(name="well", at=(0.0, 0.02), radius=0.1, rate=1e-6),)
+SIDES = (("left", 2e6), ("right", 1e6), ("top", 1.5e6))
+
+
+@pytest.mark.parametrize("rock", CUT.values(), ids=map(str, CUT))
+def test_a_rock_balances_at_any_contrast(rock):
+    """As a user sees it: flows of the boundaries and of the well, balance and residual."""
+    seen = rock.observed(WELL, SIDES, method="steady")
     assert seen["mass_balance_error"] < 1e-14
     assert seen["residual"] < 1e-12
+
+
+@pytest.mark.parametrize("rock", CUT.values(), ids=map(str, CUT))
+@pytest.mark.parametrize("method", ["krylov", "implicit"])
+def test_a_transient_balances_at_any_contrast(rock, method):
+    """In every pore, though pressures along the fracture agree in all of their digits."""
+    times = tuple(np.geomspace(1.0, 1e8, 9))
+    seen = rock.observed(WELL, SIDES, 1e6, times, method=method, tolerance=1e-5)
+    assert seen["mass_balance_error"] < 1e-13
+    at_rest = rock.observed(WELL, SIDES, method="steady")["boundary_flow"]
+    np.testing.assert_allclose(seen["boundary_flow"][:, -1], at_rest, rtol=1e-8)
+    assert seen["residual"] < (1e-7 if method == "krylov" else 1e-13)
+
+
+def noisy(share: float):
+    """A substitution whose every result is off by about this share."""
+    rng = np.random.default_rng(1)
+
+    def substitute(factor, rhs):
+        x = solve(factor, rhs)
+        return x * (1.0 + share * rng.standard_normal(x.shape))
+
+    return substitute
+
+
+def nothing(factor, rhs):
+    return np.zeros_like(rhs)
+
+
+@pytest.mark.parametrize("broken", [nothing, noisy(0.3), noisy(1.0)])
+def test_a_broken_factor_shows_in_the_residual_of_a_steady_state(broken, monkeypatch):
+    """What is drained along the tree balances, whatever the pressures are."""
+    rock = CUT["fracture", 1e12]
+    good = rock.observed(WELL, SIDES, method="steady")
+    monkeypatch.setattr(balance_module, "solve", broken)
+    seen = rock.observed(WELL, SIDES, method="steady")
+    assert abs(seen["well_pressure"][0] / good["well_pressure"][0] - 1.0) > 1e-3
+    assert seen["residual"] > 0.1
+
+
+@pytest.mark.parametrize(("method", "share"), [("krylov", 0.3), ("implicit", 1e-5)])
+def test_a_noisy_factor_shows_in_the_residual_of_a_transient(method, share, monkeypatch):
+    """Though the volume balances: each solution is brought back to it."""
+    for module in (balance_module, subspace_module, implicit_module):
+        monkeypatch.setattr(module, "solve", noisy(share))
+    times = (1.0, 10.0, 100.0)
+    seen = CUT["fracture", 1e12].observed(WELL, (), 1e6, times, method=method, tolerance=1e-2)
+    assert seen["mass_balance_error"] < 1e-12
+    assert seen["residual"] > share
+
+
+def test_the_misfit_of_a_transient_is_that_of_its_pressure():
+    """Relative, whatever the contrast; and none where the pressure is right."""
+    system = random_system(3, strong=1e12)
+    shift = 0.1
+    symbolic = analyse(system.n, system.edge_i, system.edge_j)
+    factor = factorise(symbolic, system.edge_g, system.excess + shift * system.storage)
+    rng = np.random.default_rng(0)
+    pressure = solve(factor, system.source(2))  # (G + s C) p = f: the rate is s p
+    assert transient_misfit(system, factor, shift, 2, pressure, shift * pressure) < 1e-14
+    for off in (1e-3, 1e-9):
+        moved = pressure * (1.0 + off * rng.uniform(-1.0, 1.0, system.n))
+        found = transient_misfit(system, factor, shift, 2, moved, shift * pressure)
+        assert 0.1 * off < found < 10 * off
+    gone = transient_misfit(system, factor, shift, 2, 0.0 * pressure, shift * pressure)
+    assert gone > 0.1
