@@ -166,6 +166,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         "probe_pressure": probes,
         "mass_balance_error": np.asarray(_imbalance(responses, told, steps, times, rate, flows)),
         "residual": responses.residual,
+        "range_error": np.asarray(_out_of_range(responses, told)),
         "estimated_error": responses.time_error,
         "isolated_domains": responses.isolated,
         "solver_used": responses.solver,
@@ -233,4 +234,43 @@ def _imbalance(
             produced += volume
             moved += np.abs(volume)
     error = np.abs(stored - let_in.sum(axis=1) + produced)
-    return float(np.max(error[moved > 0] / moved[moved > 0], initial=0.0))
+    counts = moved != 0.0  # what is not a number counts
+    return float(np.max(error[counts] / moved[counts], initial=0.0))
+
+
+def _out_of_range(responses: Responses, told: Controls) -> float:
+    """Largest excursion of the recorded unit responses from the range of the maximum principle.
+
+    A fixed pressure that rises by 1 Pa keeps every pressure between 0 and 1 Pa, lets fluid in,
+    and none in elsewhere. A well that produces 1 m³/s raises no pressure and draws between 0
+    and 1 m³/s from each fixed one. Flows count over the largest of the source, and pressures
+    by a well likewise. A start in the steady state of fixed pressures has their ranges.
+    """
+    fixed = len(told.fixed_pressures)
+    wells = len(told.wells) - (fixed - len(told.side_pressures))
+    responded = [(k, responses.output[k], responses.pressure[k]) for k in range(fixed + wells)]
+    if told.start == "steady":
+        initial = zip(responses.initial_output, responses.initial_pressure, strict=True)
+        responded += [(k, output, field) for k, (output, field) in enumerate(initial)]
+    worst = [0.0]
+    for source, output, field in responded:
+        low, high = _extremes(output[:, :wells], output[:, wells + fixed :], field)
+        flows = output[:, wells : wells + fixed]
+        if source < fixed:
+            worst += [-low, high - 1.0]
+            low, _ = _extremes(flows[:, source])
+            _, high = _extremes(np.delete(flows, source, axis=1))
+            if (size := np.abs(flows).max(initial=0.0)) != 0.0:
+                worst += [-low / size, high / size]
+        else:
+            if (size := np.max([-low, high])) != 0.0:
+                worst.append(high / size)
+            low, high = _extremes(flows)
+            worst += [-low, high - 1.0]
+    return abs(float(np.max(worst)))
+
+
+def _extremes(*values: np.ndarray) -> tuple[float, float]:
+    """Least and largest of arrays and of zero; what is not a number stays."""
+    least = np.min([np.min(v, initial=0.0) for v in values])
+    return float(least), float(np.max([np.max(v, initial=0.0) for v in values]))

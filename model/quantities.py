@@ -99,6 +99,9 @@ CASE: dict[str, Quantity] = {
     "domain_count": Quantity("1", (), "pores inside the region"),
     "floaters": Quantity("1", (), "grains without load in the packing, treated as solid in pores"),
     "slivers": Quantity("1", (), "pores whose volume was raised to the floor"),
+    "smallest_pore": Quantity(
+        "1", (), "volume of the smallest pore over the mean, as fractures leave them"
+    ),
     "idle_traces": Quantity("1", (), "fracture traces that changed no pipe"),
     "parted_pipes": Quantity("1", (), "pipes whose grains parted under the stress"),
     "isolated_domains": Quantity("1", (), "pores that no well and no boundary reaches"),
@@ -112,6 +115,13 @@ CASE: dict[str, Quantity] = {
         comment="before any repair of the balance; steady: the largest imbalance of a pore over "
         "the flow through it; transient: the correction of pressure that balances every pore, "
         "over the largest pressure",
+    ),
+    "range_error": Quantity(
+        "1",
+        (),
+        "largest excursion of unit responses from what the maximum principle allows, relative",
+        comment="a fixed pressure leaves all pressures between the old and its own, a well's "
+        "production raises none; no fixed pressure takes in against its sense",
     ),
     "estimated_error": Quantity(
         "1",

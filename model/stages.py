@@ -126,6 +126,7 @@ def observe(
             "domain_count": np.asarray(np.count_nonzero(network.inside)),
             "floaters": network.floaters,
             "slivers": network.slivers,
+            "smallest_pore": _smallest(apertures.volume[network.inside]),
             "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
             "parted_pipes": _parted(network, stress),
         }
@@ -167,6 +168,11 @@ def observe(
             )
         )
     return {name: np.asarray(value) for name, value in found.items()}
+
+
+def _smallest(volume: np.ndarray) -> np.ndarray:
+    """The smallest of some volumes over their mean."""
+    return np.asarray(volume.min() / volume.mean())
 
 
 def _parted(network: Network, stress: StressState | None) -> np.ndarray:

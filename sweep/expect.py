@@ -29,6 +29,10 @@ class Expectation:
         default=None, at_least=0, help="largest mass_balance_error"
     )
     residual: float | None = parameter(default=None, at_least=0, help="largest residual")
+    range_error: float | None = parameter(default=None, at_least=0, help="largest range_error")
+    smallest_pore: float | None = parameter(
+        default=None, at_least=0, help="largest smallest_pore: slivers were there"
+    )
 
 
 EXPECT = block_of(Expectation)

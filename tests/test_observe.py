@@ -228,3 +228,19 @@ def test_a_probe_that_no_source_reaches_keeps_the_initial_pressure():
 
 def test_explicit_claims_no_error_in_time_that_it_did_not_measure():
     assert np.isnan(ROCK.respond((), ("outer",), (1e-3,), method="explicit").time_error)
+
+
+def test_range_error_is_the_largest_excursion_of_a_unit_response():
+    """Nothing where all lies in range; the excursion itself where one value is moved out."""
+    told = Controls(START, START, (START,), (producer(),), TIMES, True)
+    sound = float(observe_flow(RESPONSES, told)["range_error"])
+    assert 0.0 <= sound < 1e-3
+    for name, place, value, expected in (
+        ("pressure", (0, -1, 0), 1.25, 0.25),
+        ("pressure", (0, -1, 0), -0.125, 0.125),
+        ("output", (0, -1, 0), 1.5, 0.5),
+    ):
+        array = getattr(RESPONSES, name).copy()
+        array[place] = value
+        seen = observe_flow(RESPONSES._replace(**{name: array}), told)["range_error"]
+        assert seen == pytest.approx(expected, rel=1e-3)

@@ -20,6 +20,7 @@ _NUMBERS = {  # columns of the table, where the dataset has them
     "time_error": "error in time",
     "mass_balance_error": "mass balance",
     "residual": "residual",
+    "range_error": "range",
     "solver_time": "solver (s)",
 }
 

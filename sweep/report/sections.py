@@ -33,6 +33,7 @@ MOST_VALUES = 12  # of an axis, listed one by one
 _WORST = (
     "mass_balance_error",
     "residual",
+    "range_error",
     "estimated_error",
     "time_error",
     "unbalanced_ratio",
