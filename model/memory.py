@@ -39,12 +39,12 @@ def available() -> float:
     return max(0.0, min(left))
 
 
-def foresee(what: str, size: float) -> None:
-    """Raise `OutOfMemory` where `size` bytes for `what` would not fit."""
+def foresee(what: str, size: float, cure: str = "lower grains.count") -> None:
+    """Raise `OutOfMemory` where `size` bytes for `what` would not fit; `cure` makes it smaller."""
     if size < SMALL or size <= (left := available()):
         return
     raise OutOfMemory(
-        f"{what} needs {size / 1e9:.3g} GB and {left / 1e9:.3g} GB are left; lower grains.count, "
+        f"{what} needs {size / 1e9:.3g} GB and {left / 1e9:.3g} GB are left; {cure}, "
         "use fewer workers, or raise limits.memory where that is what is short"
     )
 

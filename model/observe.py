@@ -168,6 +168,7 @@ def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
         "residual": responses.residual,
         "range_error": np.asarray(_out_of_range(responses, told)),
         "estimated_error": responses.time_error,
+        "tolerance_met": responses.tolerance_met,
         "isolated_domains": responses.isolated,
         "solver_used": responses.solver,
         "solver_reason": responses.solver_reason,
@@ -221,7 +222,7 @@ def _imbalance(
     if not told.transient:
         produced = np.array([rate[k, 0] for k, w in enumerate(told.wells) if w.pressure is None])
         moved = np.abs(flows).sum() + np.abs(produced).sum()
-        return float(abs(flows.sum() - produced.sum()) / moved) if moved > 0 else 0.0
+        return float(abs(flows.sum() - produced.sum()) / moved) if moved != 0.0 else 0.0
     volumes = superpose(responses.cumulative, responses.lag, steps, times)
     volumes += started(responses.initial_cumulative, responses.lag, told.initial_weights, times)
     let_in, stored = volumes[:, :-1], volumes[:, -1]

@@ -168,7 +168,7 @@ class Apertures(NamedTuple):
     trace_start: Array  # (traces, 2) m, after clipping to the region
     trace_end: Array  # (traces, 2) m
     trace_fracture: Array  # (traces,) index of the fracture in the scene
-    trace_transmissivity: Array  # (traces,) w³/(12 μ), 0 unless it is calibrated, m³/(s Pa)
+    trace_transmissivity: Array  # (traces,) T = w³/(12 μ), m³/(s Pa), 0 unless it is calibrated
     trace_pipes: Array  # (traces,) number of pipes along it; 0: shorter than a pore
     trace_acts: Array  # (traces,) number of pipes that it widened, or as a barrier throttled
     pipe_trace_from: Array  # (p,) m: place of pipe_from along its calibrated trace, else NaN
@@ -179,7 +179,7 @@ class Apertures(NamedTuple):
 class Responses(NamedTuple):
     """Pressure changes for unit steps of each source: rates and fixed pressures.
 
-    o counts the recorded quantities, in the order `flow.system.outputs` states; lags are
+    o counts the recorded quantities, in the order `flow.records.Records` states; lags are
     times since a step. A steady study has one lag, infinity.
     """
 
@@ -190,6 +190,7 @@ class Responses(NamedTuple):
     domain: Array  # (m,) the domains of the maps
     reached: Array  # (m,) bool: some source reaches the domain
     time_error: Array  # () estimated relative error in time
+    tolerance_met: Array  # () 1 where it is within the tolerance, else 0; NaN without an estimate
     residual: Array  # () relative residual of the solve
     work: Array  # () steps or solves
     probe_reached: Array  # (probes,) bool: some source reaches the probe's domain

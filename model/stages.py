@@ -157,6 +157,7 @@ def observe(
                 for key in needs:
                     found.pop(key, None)
     if responses is not None and reference is not None:
+        found["reference_error"] = reference.time_error
         held = sum(well.pressure is not None for well in told.wells)
         found["time_error"] = np.asarray(
             time_error(
@@ -349,7 +350,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=10,
+        version=12,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -358,7 +359,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="model.flow.solvers:flow",
-        version=6,
+        version=8,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

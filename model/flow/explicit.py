@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator, eigsh
+from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigsh
 
 from model.flow.algebraic import Algebraic, algebraic
 from model.flow.problem import Answer, Problem, empty_answer, fill_map, relative_residual
@@ -22,6 +22,9 @@ from model.products import Apertures, Network
 # Pore updates that a run may take (about twenty minutes).
 MOST_UPDATES = 5e11
 SECONDS_PER_UPDATE = 2.5e-9
+
+# Restarts that the fastest decay rate may take; some tens are usual.
+MOST_RESTARTS = 1000
 
 
 def step_limit(system: System) -> float:
@@ -37,7 +40,10 @@ def step_limit(system: System) -> float:
 
 
 def fastest_decay(system: System, wells: Algebraic) -> float:
-    """Largest eigenvalue λ of C⁻¹G on the pores, 1/s; forward Euler is stable up to 2/λ."""
+    """Largest eigenvalue λ of C⁻¹G on the pores, 1/s; forward Euler is stable up to 2/λ.
+
+    Raises `ModelError` where it is not found in `MOST_RESTARTS` restarts.
+    """
     pores = system.pores
     root = np.sqrt(system.storage[:pores])
 
@@ -50,7 +56,22 @@ def fastest_decay(system: System, wells: Algebraic) -> float:
         return float(np.linalg.eigvalsh(0.5 * (matrix + matrix.T)).max(initial=0.0))
     start = np.random.default_rng(0).standard_normal(pores)
     operator = LinearOperator((pores, pores), matvec=apply, dtype=float)
-    return float(eigsh(operator, k=1, which="LA", v0=start, return_eigenvectors=False)[0])
+    try:
+        found = eigsh(
+            operator,
+            k=1,
+            which="LA",
+            v0=start,
+            maxiter=MOST_RESTARTS,
+            return_eigenvectors=False,
+        )
+    except ArpackNoConvergence as none:
+        raise ModelError(
+            "explicit cannot tell whether its step is stable, since the fastest decay rate was not "
+            "found; take a solver.safety_factor of 1 or less with solver.step corrected, which "
+            "is, or use solver.method krylov"
+        ) from none
+    return float(found[0])
 
 
 def paper_step(
@@ -109,28 +130,27 @@ def explicit(problem: Problem) -> Answer:
         p[system.pores :] = wells.direct(rhs)
         q = p.copy()
         integral = np.zeros(system.n)
-        maps = np.zeros((len(lags), system.n))
+        field = np.zeros(system.n)
         for m, (interval, count) in enumerate(zip(intervals, steps, strict=True)):
             if count:
                 dt = interval / count
                 p, q = march(p, q, integral, int(count), dt, rows, moved, rhs[system.pores :])
-            maps[m, rows.order] = p
-            answer.cumulative[k, m] = _volumes(problem, k, maps[m], integral, lags[m])
-        answer.output[k] = (problem.records.rows @ maps.T).T + problem.records.direct[k]
-        answer.pressure[k] = fill_map(problem, k, maps)
+            field[rows.order] = p
+            _record(problem, k, m, field, integral, answer)
         rate = np.zeros(system.n)
         pores = slice(0, system.pores)
-        rate[pores] = _net_flow(system, rhs, maps[-1])[pores] / system.storage[pores]
-        residual = max(residual, relative_residual(system, rhs, rate, maps[-1]))
+        rate[pores] = _net_flow(system, rhs, field)[pores] / system.storage[pores]
+        residual = float(np.maximum(residual, relative_residual(system, rhs, rate, field)))
     return answer._replace(time_error=math.nan, residual=residual, work=int(steps.sum()))
 
 
 def _in_words(seconds: float) -> str:
     """A duration that a person can judge."""
-    for unit, size in (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3_600.0)):
+    units = (("years", 31_557_600.0), ("days", 86_400.0), ("hours", 3_600.0), ("minutes", 60.0))
+    for unit, size in units:
         if seconds >= 2.0 * size:
             return f"{seconds / size:.2g} {unit}"
-    return f"{seconds / 60.0:.2g} minutes"
+    return f"{seconds:.2g} seconds"
 
 
 def _check_stable(step: float, decay: float) -> None:
@@ -152,11 +172,15 @@ def _net_flow(system: System, rhs: np.ndarray, p: np.ndarray) -> np.ndarray:
     return net + np.bincount(system.edge_j, weights=flow, minlength=system.n)
 
 
-def _volumes(
-    problem: Problem, source: int, p: np.ndarray, integral: np.ndarray, time: float
-) -> np.ndarray:
-    """Volumes let in by each fixed pressure since the step, and the volume stored, (fixed + 1,)."""
-    records = problem.records
+def _record(
+    problem: Problem, source: int, m: int, p: np.ndarray, integral: np.ndarray, answer: Answer
+) -> None:
+    """Fill lag `m` of one source's part of the answer (in place)."""
+    records, direct = problem.records, problem.records.direct[source]
     flows = slice(records.well_rows, records.well_rows + records.flow_rows)
-    let_in = (records.rows @ integral + time * records.direct[source])[flows]
-    return np.append(let_in, problem.system.storage @ p)
+    now, through = (records.rows @ np.column_stack([p, integral])).T
+    answer.output[source, m] = now + direct
+    answer.cumulative[source, m, :-1] = (through + problem.lag[m] * direct)[flows]
+    answer.cumulative[source, m, -1] = problem.system.storage @ p
+    if len(problem.domain):
+        answer.pressure[source, m] = fill_map(problem, source, p[None])[0]

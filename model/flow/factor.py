@@ -22,6 +22,7 @@ import numpy as np
 from model.compile import kernel
 from model.flow.elimination import Symbolic, analyse
 from model.memory import foresee
+from model.outcome import ModelError
 
 __all__ = ["Factor", "Symbolic", "analyse", "factorise", "solve"]
 
@@ -42,10 +43,8 @@ class Factor(NamedTuple):
 def factorise(symbolic: Symbolic, conductance: np.ndarray, excess: np.ndarray) -> Factor:
     """Factor the matrix with the given edge conductances (e,) ≥ 0 and row excesses (n,) ≥ 0.
 
-    A node with neither edge nor excess makes the matrix singular; its pivot is zero and
-    the solution there infinite.
-
-    Raises `OutOfMemory` where the factor would not fit, before it is made.
+    Raises `OutOfMemory` where the factor would not fit, before it is made, and `ModelError`
+    where the matrix is singular: nodes without excess that no edge joins to one that has some.
     """
     foresee("the factor of the flow equation", symbolic.factor_bytes + symbolic.work_bytes)
     lower, pivot = _numeric(
@@ -60,6 +59,11 @@ def factorise(symbolic: Symbolic, conductance: np.ndarray, excess: np.ndarray) -
         conductance,
         np.ascontiguousarray(excess[symbolic.order]),
     )
+    if not np.all(pivot > 0.0):
+        raise ModelError(
+            "the flow equation is singular: some pores store nothing and reach no fixed pressure, "
+            "or their conductances lie below the smallest number; check apertures and fluid"
+        )
     return Factor(symbolic, lower, pivot)
 
 

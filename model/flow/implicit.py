@@ -59,7 +59,8 @@ RUNGS_PER_OCTAVE = 1  # steps are 2^k s
 LOCAL_SHARE = 0.45
 
 SAFETY = 0.9
-MOST_GROWTH = 4.0
+LEAST_GROWTH, MOST_GROWTH = 0.1, 4.0
+LEAST_STEP = 2.0**-40  # of the first step: an error that lasts there is round-off
 MOST_STEPS = 200_000
 
 # Part of the largest flow below which a boundary's own flow no longer counts.
@@ -125,7 +126,8 @@ class Ladder:
 def implicit(problem: Problem) -> Answer:
     """March every active source through the lags under error control.
 
-    Raises `ModelError` where `MOST_STEPS` steps do not reach the last lag.
+    Raises `ModelError` where `MOST_STEPS` steps do not reach the last lag, or where no step is
+    short enough for the tolerance.
     """
     system = problem.system
     wells = algebraic(system)
@@ -204,12 +206,13 @@ def _march(
     rhs = system.source(source)
     gauge = _Gauge(problem, source)
     state = initial_state(system, wells, rhs)
-    fields = np.zeros((len(lags) if len(problem.domain) else 0, system.n))
     rung = last = ladder.rung(_first_step(problem, state))
+    shortest = LEAST_STEP * ladder.step(rung)
     share = LOCAL_SHARE * problem.tolerance**0.125
     allowed = share * problem.tolerance
     worst, tried, done = 0.0, 0, 0
-    done = _reach(problem, source, state, None, done, fields, answer)
+    least = math.inf  # error of the steps tried from the present state
+    done = _reach(problem, source, state, None, done, answer)
     while done < len(lags):
         tried += 1
         if tried > MOST_STEPS:
@@ -218,24 +221,30 @@ def _march(
                 "raise solver.tolerance, or use solver.method krylov"
             )
         size = ladder.step(rung)
+        if size < max(shortest, np.finfo(float).eps * state.time):
+            raise ModelError(
+                f"implicit cannot keep a tolerance of {problem.tolerance:g} at {state.time:.3g} s: "
+                f"however short the step, its error comes to {least / share:.1g}; raise "
+                "solver.tolerance above that, or use solver.method krylov"
+            )
         step = take_step(system, ladder.factor(rung), rhs, state, size)
         error = gauge.relative((WEIGHTS - EMBEDDED) @ step.increment, step.value[-1])
         growth = MOST_GROWTH if error == 0.0 else SAFETY * (allowed / error) ** 0.25
+        growth = min(max(growth, LEAST_GROWTH), MOST_GROWTH)
+        least = min(least, error)
         if error > allowed:
             rung = min(rung - 1, ladder.rung(size * growth))
             continue
-        worst = max(worst, error / share)
+        worst, least = max(worst, error / share), math.inf
         gauge.accept(step.value[-1], state.time + size)
-        done = _reach(problem, source, state, step, done, fields, answer)
+        done = _reach(problem, source, state, step, done, answer)
         state = State(
             state.time + size,
             step.value[-1],
             step.increment[-1] / size,
             state.volume + _let_in(problem, source, step, WEIGHTS),
         )
-        last, rung = rung, ladder.rung(size * min(growth, MOST_GROWTH))
-    if len(problem.domain):
-        answer.pressure[source] = fill_map(problem, source, fields)
+        last, rung = rung, ladder.rung(size * growth)
     return worst, state, last, tried * (len(STAGES) - 1)
 
 
@@ -255,7 +264,6 @@ def _reach(
     state: State,
     step: Step | None,
     done: int,
-    fields: np.ndarray,
     answer: Answer,
 ) -> int:
     """Record the lags up to the end of a step (none: the present); how many are done."""
@@ -269,8 +277,8 @@ def _reach(
             volume = volume + _let_in(problem, source, step, weights)
         answer.output[source, done] = records.rows @ pressure + records.direct[source]
         answer.cumulative[source, done] = np.append(volume, system.storage @ pressure)
-        if len(fields):
-            fields[done] = pressure
+        if len(problem.domain):
+            answer.pressure[source, done] = fill_map(problem, source, pressure[None])[0]
         done += 1
     return done
 
@@ -307,7 +315,12 @@ class _Gauge:
             self.seen = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
 
     def relative(self, error: np.ndarray, pressure: np.ndarray) -> float:
-        """The error (n,) against the pressure (n,) and the flows that it goes with."""
+        """The error (n,) against the pressure (n,) and the flows that it goes with.
+
+        Infinity where either is no finite number.
+        """
+        if not (np.isfinite(error).all() and np.isfinite(pressure).all()):
+            return math.inf
         size = np.abs(pressure).max(initial=self.least_pressure)
         worst = np.abs(error).max(initial=0.0) / size if size > 0 else 0.0
         if not self.check_flows:

@@ -22,12 +22,10 @@ from model.flow.algebraic import algebraic
 from model.flow.balance import transient_misfit
 from model.flow.factor import Factor, Symbolic, analyse, factorise
 from model.flow.problem import Answer, Problem, empty_answer, fill_map
-from model.flow.subspace import Basis, Subspace
+from model.flow.subspace import MOST_VECTORS, Basis, Subspace
 from model.flow.system import System
 from model.network.connectivity import reached
 from model.outcome import ModelError
-
-MOST_VECTORS = 300
 
 # The reduction of the error is not even; the estimate is taken this much larger.
 CAUTION = 2.5
@@ -171,9 +169,7 @@ class Growth:
         self.lag = problem.lag[problem.lag > 0]
         some = np.unique(np.linspace(0, len(self.lag) - 1, MAP_CHECKS).astype(int))
         self.map_lag = self.lag[some] if len(problem.domain) else self.lag[:0]
-        records = problem.records
-        counts = len(self.direct) - (0 if problem.check_flows else records.flow_rows)
-        self.far = counts > (problem.own_well(source) is not None) or len(problem.domain) > 0
+        self.far = problem.far(source)
         self._coefficients: dict[int, np.ndarray] = {}
         self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._outputs: dict[int, np.ndarray] = {}
@@ -194,6 +190,11 @@ class Growth:
             if space.size < SHORTEST or wait > 0:
                 continue
             found, rate, cheap = self._estimate()
+            if not math.isfinite(found):
+                raise ModelError(
+                    f"krylov lost its numbers at {space.size} vectors; look for apertures that lie "
+                    "too far apart, or use solver.method implicit"
+                )
             error, before = max(found, FALL * before), found
             if error <= tolerance:
                 return error

@@ -37,6 +37,13 @@ class Problem(NamedTuple):
         well = source - self.system.fixed_count
         return well if 0 <= well < self.records.well_rows else None
 
+    def far(self, source: int) -> bool:
+        """Whether anything is held to the tolerance besides the own pressure of a well."""
+        counts = self.records.rows.shape[0]
+        if not self.check_flows:
+            counts -= self.records.flow_rows
+        return counts > (self.own_well(source) is not None) or len(self.domain) > 0
+
     def own_size(self, source: int) -> tuple[float, float]:
         """Pressure (Pa) and flow (m³/s) that a unit of the source is by itself.
 

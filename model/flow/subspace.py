@@ -20,6 +20,9 @@ from model.flow.algebraic import Algebraic
 from model.flow.factor import Factor, solve
 from model.flow.records import Records
 from model.flow.system import System
+from model.memory import foresee
+
+MOST_VECTORS = 300  # of the Krylov sequence
 
 # Rows of edge differences that are orthogonalised at once; they stay in cache.
 BLOCK_ROWS = 1024
@@ -242,16 +245,21 @@ class Subspace:
         return coefficients, left
 
     def _make_room(self) -> None:
-        """Double the memory where it is full."""
+        """Double the memory where it is full, up to what the longest sequence takes.
+
+        Raises `OutOfMemory` where that would not fit.
+        """
         full = self._space.shape[1]
         if self.count < full:
             return
-        space = np.empty((self.system.n, 2 * full), order="F")
+        room = max(min(2 * full, MOST_VECTORS + 2), full + 1)  # constants before and after
+        foresee(f"a Krylov space of {room} vectors", self._space.itemsize * self.system.n * room)
+        space = np.empty((self.system.n, room), order="F")
         space[:, :full] = self._space
         self._space = space
-        self._projected = np.pad(self._projected, (0, full))
-        self._load = np.pad(self._load, (0, full))
-        self._rows = np.pad(self._rows, ((0, 0), (0, full)))
+        self._projected = np.pad(self._projected, (0, room - full))
+        self._load = np.pad(self._load, (0, room - full))
+        self._rows = np.pad(self._rows, ((0, 0), (0, room - full)))
 
     def _applied(self, vector: np.ndarray) -> np.ndarray:
         """A times a vector of √C p, (pores,)."""

@@ -186,7 +186,13 @@ def _check_numbers(network: Network, apertures: Apertures) -> None:
                 f"first that of number {wrong[0]}: {values[wrong[0]]}; check apertures and fluid"
             )
     if not np.all(apertures.volume[network.inside] > 0.0):
-        raise ModelError("a pore of the region has no volume, so that nothing stores fluid there")
+        empty = np.flatnonzero(network.inside & ~(apertures.volume > 0.0))
+        x, y = network.x[empty[0]], network.y[empty[0]]
+        raise ModelError(
+            f"{len(empty)} pores of the region have no volume, so that nothing stores fluid there, "
+            f"first number {empty[0]} at ({x:.4g} m, {y:.4g} m); check the volumes given, or pack "
+            "grains that leave pores"
+        )
 
 
 def _connections(

@@ -31,7 +31,7 @@ def pipe_conductance(aperture: np.ndarray, length: np.ndarray, viscosity: float)
 
 
 def transmissivity(aperture: float, viscosity: float) -> float:
-    """Cubic law of a fracture of hydraulic aperture w, T = w³ / (12 μ), m³ m/(s Pa) per metre."""
+    """Cubic law of a fracture of hydraulic aperture w, T = w³ / (12 μ), m³/(s Pa)."""
     return aperture**3 / (12.0 * viscosity)
 
 

@@ -9,12 +9,13 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 from model.parameters import SceneError
 from model.region import Circle, Polygon, Rectangle, Region
 from model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
-from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
+from model.scene.flow import LEAST_TOLERANCE, Fluid, InitialField, Matrix, Probe, Solver, Well
 from model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
 from model.scene.lines import JointLine, Line, joint_lines, lines_of
 from model.scene.rock import Bonds, FailureTest, Grains, Stress
 
 __all__ = [
+    "LEAST_TOLERANCE",
     "MEASURED_BY_A_TEST",
     "OBSERVABLES",
     "BiWing",

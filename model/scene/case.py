@@ -234,7 +234,8 @@ class Scene:
             problems.append(("times", "times must be finite"))
         transient = self.flows and self.method != "steady"
         if transient and not self.times:
-            problems.append(("times", f"solver.method {self.method} needs times"))
+            what = f"solver.method {self.method} needs times; give some, or take steady"
+            problems.append(("times", what))
         if transient and self.initial_pressure is None:
             problems.append(("initial_pressure", "a transient starts from a pressure; give it"))
         if self.start != "uniform":

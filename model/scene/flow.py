@@ -7,7 +7,10 @@ from dataclasses import dataclass
 
 from model.parameters import SceneError, check_fields, parameter
 
-__all__ = ["Fluid", "InitialField", "Matrix", "Probe", "Solver", "Well"]
+__all__ = ["LEAST_TOLERANCE", "Fluid", "InitialField", "Matrix", "Probe", "Solver", "Well"]
+
+# Round-off of the factor and the projection leaves some thirteen digits.
+LEAST_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +153,7 @@ class Solver:
     )
     tolerance: float = parameter(
         default=1e-4,
-        above=0,
+        at_least=LEAST_TOLERANCE,
         below=1,
         help="relative error in time of the well pressure change (krylov, implicit)",
     )
@@ -166,3 +169,6 @@ class Solver:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.step == "paper" and self.method != "explicit":
+            what = f"paper is a step of method explicit, not of {self.method}; ask for explicit, or"
+            raise SceneError([("step", f"{what} leave the step out")])

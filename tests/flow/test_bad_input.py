@@ -59,8 +59,8 @@ def test_a_network_without_any_storage(method):
 
 
 @every
-@pytest.mark.parametrize("tolerance", [0.0, 2.0, 1.0, -1e-4, math.nan])
-def test_a_tolerance_that_bounds_nothing(method, tolerance):
+@pytest.mark.parametrize("tolerance", [0.0, 2.0, 1.0, -1e-4, math.nan, 1e-16])
+def test_a_tolerance_that_no_solver_keeps(method, tolerance):
     with pytest.raises(ModelError, match="tolerance"):
         ask(method=method, tolerance=tolerance)
     with pytest.raises(ValueError, match="tolerance"):
@@ -71,17 +71,26 @@ def test_a_tolerance_that_bounds_nothing(method, tolerance):
     "times", [(2.0, 1.0), (1.0, 1.0), (0.0, 1.0), (-1.0, 1.0), (1.0, math.nan), (1.0, math.inf)]
 )
 def test_times_that_do_not_increase(times):
-    with pytest.raises(ModelError, match="times"):
+    with pytest.raises(ModelError, match="times.*number [01] is"):
         ask(times=times)
+
+
+@pytest.mark.parametrize("method", [m for m in SOLVERS if m != "explicit"])
+def test_the_paper_s_step_of_another_solver_than_explicit(method):
+    with pytest.raises(ValueError, match="paper is a step of method explicit"):
+        Solver(method=method, step="paper")
+    assert Solver(method="explicit", step="paper").step == "paper"
 
 
 @pytest.mark.parametrize(
     ("more", "message"),
     [
         ({"method": "magic"}, "no solver magic, only .*krylov"),
-        ({"method": "steady", "times": (1.0,)}, "steady has no times"),
-        ({"method": "krylov", "times": ()}, "krylov needs times"),
-        ({"safety_factor": 0.0}, "safety factor"),
+        ({"method": "steady", "times": (1.0,)}, "steady has no times; leave them out"),
+        ({"method": "krylov", "times": ()}, "krylov needs times; give some"),
+        ({"safety_factor": 0.0}, "safety factor.*solver.safety_factor"),
+        ({"bulk_modulus": 0.0}, "bulk modulus.*fluid.bulk_modulus"),
+        ({"method": "auto", "step": "paper"}, "solver.method explicit, not of auto"),
         ({"safety_factor": math.nan}, "safety factor"),
     ],
 )

@@ -1,12 +1,22 @@
 """`auto`: a solver that can answer, the tolerance kept, and the reason told."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from model.flow.choice import course
+from model.flow.errors import time_error
 from model.flow.explicit import step_limit
-from model.flow.solvers import SOLVERS, choose
+from model.flow.records import outputs
+from model.flow.solvers import SOLVERS, choose, solve
+from model.observe import sites
+from model.outcome import ModelError
+from model.region import Rectangle
+from model.scene import Probe, Well
 from tests.diffusion import reference, relative_error, well_pressure, well_problem
+from tests.reservoirs import reservoir
+from tests.rocks import random_graph
 
 PROBLEM = well_problem(300, decades=5.0, times=21)
 LIMIT = step_limit(PROBLEM.system)
@@ -46,6 +56,85 @@ def test_the_bound_on_the_explicit_step_holds(steps, tolerance):
     safety = SOLVERS["explicit"].forecast(problem, course(problem)).safety_factor
     answer = SOLVERS["explicit"].run(problem._replace(safety_factor=safety))
     assert relative_error(well_pressure(answer), reference(problem)) <= tolerance
+
+
+WELLS = (Well(name="w", at=(0.1, 0.05), radius=0.05, rate=1.0),)
+RECORDED = {
+    "map": {"record_map": True},
+    "probes": {
+        "record_map": False,
+        "probes": (
+            Probe("near", (0.2, 0.05)),
+            Probe("side", (-0.9, 0.3)),
+            Probe("far", (0.8, -0.8)),
+        ),
+    },
+}
+
+
+@pytest.mark.parametrize("recorded", RECORDED.values(), ids=RECORDED)
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(("wells", "sides"), [(WELLS, ()), ((), ("left",)), (WELLS, ("left",))])
+def test_the_choice_keeps_the_tolerance_far_from_the_source(wells, sides, seed, recorded):
+    """Short windows, where explicit tempts: the field's error is not that of the source."""
+    packing = random_graph(1.1, 700, seed)
+    rock = reservoir(packing._replace(radius=0.5 * packing.radius), Rectangle(2.0, 2.0))
+    limit = step_limit(rock.assembled(sites(wells), sides))
+    for first in (3.0, 30.0):
+        asked = (wells, sides, tuple(limit * np.geomspace(first, 10.0 * first, 5)))
+        exact = rock.respond(*asked, tolerance=1e-11, **recorded)
+        for tolerance in (1e-4, 1e-6):
+            found = rock.respond(*asked, method="auto", tolerance=tolerance, **recorded)
+            error = time_error(found, exact, fixed=len(sides), wells=len(wells), flows=True)
+            allowed = tolerance if found.solver == "explicit" else 3 * tolerance
+            assert error <= allowed, found.solver_reason
+
+
+@pytest.mark.parametrize("source", [0, 1], ids=["side", "well"])
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3])
+def test_the_bound_on_the_explicit_step_holds_for_maps_probes_and_flows(tolerance, seed, source):
+    plain = well_problem(300, seed=seed, at=(0.1 * seed, -0.2))
+    limit, pores = step_limit(plain.system), plain.system.domain
+    plain = plain._replace(active=np.arange(2) == source, check_flows=True, tolerance=tolerance)
+    mapped = plain._replace(domain=pores)
+    probed = plain._replace(records=outputs(plain.system, pores[::20]))
+    for problem in (mapped, probed):
+        for first in (3.0, 30.0):
+            asked = problem._replace(lag=limit * np.geomspace(first, 10.0 * first, 7))
+            safety = SOLVERS["explicit"].forecast(asked, course(asked)).safety_factor
+            found = SOLVERS["explicit"].run(asked._replace(safety_factor=safety))
+            exact = SOLVERS["krylov"].run(asked._replace(tolerance=1e-11))
+            found, exact = (
+                SimpleNamespace(lag=asked.lag, output=a.output, pressure=a.pressure)
+                for a in (found, exact)
+            )
+            assert time_error(found, exact, fixed=1, wells=1, flows=True) <= tolerance
+
+
+def test_where_the_choice_fails_the_next_one_answers(monkeypatch):
+    from model.flow import krylov as krylov_module
+
+    plain, _ = solve("auto", PROBLEM)
+    assert plain.method == "krylov"
+    monkeypatch.setattr(krylov_module, "MOST_VECTORS", 4)
+    choice, answer = solve("auto", PROBLEM)
+    assert choice.method == "implicit"
+    assert "krylov failed: krylov reached a relative error" in choice.reason
+    monkeypatch.undo()
+    assert relative_error(well_pressure(answer), reference(PROBLEM)) <= 3 * PROBLEM.tolerance
+
+
+def test_where_no_choice_answers_the_first_one_is_heard(monkeypatch):
+    from model.flow import explicit as explicit_module
+    from model.flow import implicit as implicit_module
+    from model.flow import krylov as krylov_module
+
+    monkeypatch.setattr(krylov_module, "MOST_VECTORS", 4)
+    monkeypatch.setattr(implicit_module, "MOST_STEPS", 3)
+    monkeypatch.setattr(explicit_module, "MOST_UPDATES", 1.0)
+    with pytest.raises(ModelError, match="krylov reached"):
+        solve("auto", PROBLEM)
 
 
 def test_long_windows_are_not_marched_through():

@@ -3,10 +3,12 @@
 import numpy as np
 import pytest
 
-from model.flow.errors import REFERENCE_TOLERANCE, time_error
+from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
 from model.flow.explicit import step_limit
+from model.flow.solvers import SOLVERS
 from model.region import Rectangle
 from model.scene import Well
+from tests.diffusion import relative_error, well_pressure, well_problem
 from tests.reservoirs import exact_response, reservoir
 from tests.rocks import square_lattice
 
@@ -24,6 +26,15 @@ def test_the_reference_is_the_exact_solution():
     dense = exact_response(system, 0, alone.lag)
     node = system.node_of_domain[alone.domain]
     np.testing.assert_allclose(alone.pressure[0], dense[:, node], atol=3 * REFERENCE_TOLERANCE)
+
+
+@pytest.mark.parametrize("contrast", [5800.0, 1e5])  # at 1e6 dense vectors are 7e-10 off
+def test_the_reference_is_exact_for_a_well_beside_a_fracture(contrast):
+    problem = well_problem(300, contrast=contrast, decades=5.0, times=21)
+    found = SOLVERS[REFERENCE_METHOD].run(problem._replace(tolerance=REFERENCE_TOLERANCE))
+    dense = exact_response(problem.system, 1, problem.lag)[:, problem.system.pores]
+    assert found.time_error <= REFERENCE_TOLERANCE
+    assert relative_error(well_pressure(found), dense) <= 3 * REFERENCE_TOLERANCE
 
 
 def test_nothing_differs_from_itself():

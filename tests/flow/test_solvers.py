@@ -97,12 +97,12 @@ def test_agrees_with_a_dense_eigen_solution(method):
 def test_the_krylov_error_estimate_bounds_the_error():
     for tolerance in (1e-2, 1e-4, 1e-6):
         found = respond("krylov", tolerance=tolerance)
-        assert found.time_error <= tolerance
+        assert 0.0 < found.time_error <= tolerance
         for source in (3, 4):
             exact = exact_response(SYSTEM, source, found.lag)[:, SYSTEM.pores :]
             own = source - SYSTEM.fixed_count
             error = np.abs(found.output[source][:, own] / exact[:, own] - 1)
-            assert error.max() <= 3 * tolerance
+            assert error.max() <= found.time_error
 
 
 def test_the_explicit_scheme_is_of_first_order():
