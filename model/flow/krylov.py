@@ -67,9 +67,6 @@ ROUND_OFF, MOST_ROUND_OFF = 10.0, 1e-7
 # Lags at which maps are compared; the error of a map changes slowly in time.
 MAP_CHECKS = 8
 
-# Part of the largest recorded value below which an output's own size no longer counts.
-FAINT = 0.1
-
 
 def krylov(problem: Problem) -> Answer:
     """Step responses to the tolerance, source by source, the factors shared between them.
@@ -270,30 +267,9 @@ class Growth:
         """Largest relative change of an output between two sizes."""
         now = self._seen(size)
         change = np.abs(now - self._seen(before))
-        scale = self._scale(now)
+        scale = self.problem.scale(self.source, now)
         counts = scale > 0.0
         return float(np.max(change[counts] / scale[counts], initial=0.0))
-
-    def _scale(self, output: np.ndarray) -> np.ndarray:
-        """Size (l, o) with which the error of each output is compared; 0 where it does not count.
-
-        The well that is the source is compared at every lag with its own pressure change,
-        anything else with the largest value that it takes, or where it takes next to none
-        with a tenth (`FAINT`) of the largest pressure or flow, the source's own included.
-        """
-        problem, records = self.problem, self.problem.records
-        is_flow = np.zeros(output.shape[1], dtype=bool)
-        is_flow[records.well_rows : records.well_rows + records.flow_rows] = True
-        size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
-        own_well = problem.own_well(self.source)
-        own_pressure, own_flow = problem.own_size(self.source)
-        for kind, own in ((is_flow, own_flow), (~is_flow, own_pressure)):
-            largest = np.max(size[:, kind], initial=own)
-            size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
-        if own_well is not None:
-            size[:, own_well] = np.abs(output[:, own_well])
-        size[:, is_flow & (not problem.check_flows)] = 0.0
-        return size
 
     def _field_change(self, size: int, before: int) -> float:
         """Largest change of the field between two sizes over the largest field, in the C-norm."""

@@ -9,6 +9,9 @@ import numpy as np
 from model.flow.records import Records, map_rows
 from model.flow.system import System
 
+# Part of the largest recorded value below which an output's own size no longer counts.
+FAINT = 0.1
+
 
 class Problem(NamedTuple):
     """Unit step responses of the flow equation at given lags.
@@ -58,6 +61,27 @@ class Problem(NamedTuple):
         field = np.abs(system.initial[source - system.fixed_count - len(system.rate_wells)])
         out = np.bincount(system.fixed_source, weights=system.fixed_g * field[system.fixed_node])
         return float(field.max(initial=0.0)), float(out.max(initial=0.0))
+
+    def scale(self, source: int, output: np.ndarray) -> np.ndarray:
+        """Size (l, o) with which the error of each output is compared; 0 where it does not count.
+
+        The well that is the source is compared at every lag with its own pressure change,
+        anything else with the largest value that it takes, or where it takes next to none
+        with a tenth (`FAINT`) of the largest pressure or flow, the source's own included.
+        """
+        records = self.records
+        is_flow = np.zeros(output.shape[1], dtype=bool)
+        is_flow[records.well_rows : records.well_rows + records.flow_rows] = True
+        size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
+        own_well = self.own_well(source)
+        own_pressure, own_flow = self.own_size(source)
+        for kind, own in ((is_flow, own_flow), (~is_flow, own_pressure)):
+            largest = np.max(size[:, kind], initial=own)
+            size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
+        if own_well is not None:
+            size[:, own_well] = np.abs(output[:, own_well])
+        size[:, is_flow & (not self.check_flows)] = 0.0
+        return size
 
 
 class Answer(NamedTuple):

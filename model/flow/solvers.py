@@ -12,6 +12,7 @@ from model.flow.choice import (
     Course,
     Forecast,
     course,
+    euler_error,
     explicit_forecast,
     implicit_forecast,
     krylov_forecast,
@@ -57,6 +58,7 @@ class Choice(NamedTuple):
     method: str
     reason: str
     problem: Problem
+    proven: bool = True  # else its answer counts only where `euler_error` finds it good enough
 
 
 def choices(method: str, problem: Problem) -> list[Choice]:
@@ -76,7 +78,7 @@ def choices(method: str, problem: Problem) -> list[Choice]:
         if forecast.safety_factor is not None:
             put = problem._replace(safety_factor=forecast.safety_factor, step=None)
         if math.isfinite(forecast.seconds):
-            found.append(Choice(name, reason, put))
+            found.append(Choice(name, reason, put, forecast.proven))
     return found
 
 
@@ -90,15 +92,17 @@ def solve(method: str, problem: Problem) -> tuple[Choice, Answer]:
 
     Raises `ModelError` where none can answer: what the first one said.
     """
-    ranked = choices(method, problem)
+    ranked, tolerance = choices(method, problem), problem.tolerance
     failed: list[str] = []
     first: ModelError | None = None
     for choice in ranked:
         try:
             answer = SOLVERS[choice.method].run(choice.problem)
-        except ModelError as error:
-            first = first or error
-            failed.append(f"; {choice.method} failed: {error}")
+            if not choice.proven and (error := euler_error(choice.problem, answer)) > tolerance:
+                raise ModelError(f"its answer shows a relative error of {error:.2g}")
+        except ModelError as told:
+            first = first or told
+            failed.append(f"; {choice.method} failed: {told}")
         else:
             return choice._replace(reason=choice.reason + "".join(failed)), answer
     raise first or ModelError("no solver can answer; name one as solver.method")

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from model.flow.choice import course
+from model.flow.choice import course, euler_error
 from model.flow.errors import time_error
 from model.flow.explicit import step_limit
 from model.flow.records import outputs
@@ -21,6 +21,14 @@ from tests.rocks import random_graph
 PROBLEM = well_problem(300, decades=5.0, times=21)
 LIMIT = step_limit(PROBLEM.system)
 STEADY = PROBLEM._replace(lag=np.array([np.inf]))
+
+
+def error_of(lag, found, exact):
+    """The largest error of all that two answers of one side and one well record."""
+    found, exact = (
+        SimpleNamespace(lag=lag, output=a.output, pressure=a.pressure) for a in (found, exact)
+    )
+    return time_error(found, exact, fixed=1, wells=1, flows=True)
 
 
 def test_a_solver_asked_for_runs_as_it_is():
@@ -105,11 +113,28 @@ def test_the_bound_on_the_explicit_step_holds_for_maps_probes_and_flows(toleranc
             safety = SOLVERS["explicit"].forecast(asked, course(asked)).safety_factor
             found = SOLVERS["explicit"].run(asked._replace(safety_factor=safety))
             exact = SOLVERS["krylov"].run(asked._replace(tolerance=1e-11))
-            found, exact = (
-                SimpleNamespace(lag=asked.lag, output=a.output, pressure=a.pressure)
-                for a in (found, exact)
+            assert error_of(asked.lag, found, exact) <= tolerance
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("at", [(0.1, 0.05), (-0.9, 0.1)], ids=["far", "near"])
+def test_an_answer_that_is_looked_at_keeps_the_tolerance(at, seed):
+    """A well and a side: far apart explicit will do; near each other it is told by its answer."""
+    plain = well_problem(600, seed=seed, at=at)._replace(check_flows=True)
+    limit = step_limit(plain.system)
+    for source in (0, 1):
+        for first in (3.0, 10.0, 30.0):
+            asked = plain._replace(
+                active=np.arange(2) == source, lag=limit * np.geomspace(first, 10.0 * first, 21)
             )
-            assert time_error(found, exact, fixed=1, wells=1, flows=True) <= tolerance
+            exact = SOLVERS["krylov"].run(asked._replace(tolerance=1e-11))
+            for tolerance in (1e-2, 1e-4, 1e-7):
+                problem = asked._replace(tolerance=tolerance)
+                forecast = SOLVERS["explicit"].forecast(problem, course(problem))
+                put = problem._replace(safety_factor=forecast.safety_factor)
+                answer = SOLVERS["explicit"].run(put)
+                told = tolerance if forecast.proven else euler_error(put, answer)
+                assert error_of(asked.lag, answer, exact) <= max(told, tolerance)
 
 
 def test_where_the_choice_fails_the_next_one_answers(monkeypatch):
