@@ -133,14 +133,16 @@ def explicit_forecast(problem: Problem, course: Course) -> Forecast:
 
 
 def _lies_apart(problem: Problem) -> bool:
-    """Whether but wells and flows are recorded, at lags that tell how they bend.
+    """Whether what is recorded has hardly moved, likely, and lags tell how it bends.
 
-    A source has seldom come to these in so short a window that explicit pays.
+    In so short a window that explicit pays, a source has seldom come to other wells and sides, nor
+    a well to a probe. Some pore of a map has always moved.
     """
     lag = problem.lag[problem.lag > 0.0]
-    recorded = problem.records.well_rows + problem.records.flow_rows
-    alone = problem.records.rows.shape[0] == recorded and not len(problem.domain)
-    return alone and len(lag) > 2 and bool(np.all(lag[1:] <= DENSE * lag[:-1]))
+    if len(problem.domain) or len(lag) < 3 or np.any(lag[1:] > DENSE * lag[:-1]):
+        return False
+    probes = problem.records.rows.shape[0] - problem.records.well_rows - problem.records.flow_rows
+    return probes == 0 or all(problem.own_well(k) is not None for k in problem.active_sources)
 
 
 def euler_error(problem: Problem, answer: Answer) -> float:
@@ -156,12 +158,11 @@ def euler_error(problem: Problem, answer: Answer) -> float:
         output = answer.output[source, later]
         slope = np.diff(output, axis=0) / np.diff(t, axis=0)
         bend = 2.0 * np.diff(slope, axis=0) / (t[2:] - t[:-2])
-        bend = np.concatenate([bend[:1], bend, bend[-1:]])
+        bend = t * np.abs(np.concatenate([bend[:1], bend, bend[-1:]]))
         size = problem.scale(source, output)
         counts = size > 0.0
-        error = CAUTION * 0.5 * step * t * np.abs(bend)
-        worst = max(worst, float(np.max(error[counts] / size[counts], initial=0.0)))
-    return worst
+        worst = max(worst, float(np.max(bend[counts] / size[counts], initial=0.0)))
+    return CAUTION * 0.5 * step * worst
 
 
 def _course(problem: Problem, source: int, wells: Algebraic) -> Course:

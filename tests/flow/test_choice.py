@@ -137,6 +137,23 @@ def test_an_answer_that_is_looked_at_keeps_the_tolerance(at, seed):
                 assert error_of(asked.lag, answer, exact) <= max(told, tolerance)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_maps_and_probes_that_are_looked_at_keep_the_tolerance(seed):
+    plain = well_problem(600, seed=seed, at=(0.1, 0.05))
+    limit, pores = step_limit(plain.system), plain.system.domain
+    for recorded in ({"domain": pores}, {"records": outputs(plain.system, pores[::20])}):
+        for first in (3.0, 30.0):
+            asked = plain._replace(lag=limit * np.geomspace(first, 10.0 * first, 21), **recorded)
+            exact = SOLVERS["krylov"].run(asked._replace(tolerance=1e-11))
+            for tolerance in (1e-2, 1e-4, 1e-7):
+                problem = asked._replace(tolerance=tolerance)
+                forecast = SOLVERS["explicit"].forecast(problem, course(problem))
+                put = problem._replace(safety_factor=forecast.safety_factor)
+                answer = SOLVERS["explicit"].run(put)
+                told = tolerance if forecast.proven else euler_error(put, answer)
+                assert error_of(asked.lag, answer, exact) <= max(told, tolerance)
+
+
 def test_where_the_choice_fails_the_next_one_answers(monkeypatch):
     from model.flow import krylov as krylov_module
 
