@@ -275,7 +275,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="model.mechanics.stress:load",
-        version=7,
+        version=8,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

@@ -75,10 +75,12 @@ def specimen_of(
         y=y,
     )
     traces = [_trace(line, unit, middle, normal_stiffness) for line in joints]
+    law = ContactLaw(1.0, 1.0 / stiffness_ratio, friction)
+    mass = scaled_mass(radius, _stiffest(law, cement, radius, traces), TIME_STEP)
     return Specimen(
-        at_rest(x, y, radius, scaled_mass(radius, _stiffest(cement, radius, traces), TIME_STEP)),
+        at_rest(x, y, radius, mass),
         box,
-        ContactLaw(1.0, 1.0 / stiffness_ratio, friction),
+        law,
         bonds=cement,
         known=contacts,
         traces=traces,
@@ -154,9 +156,13 @@ def _trace(line: JointLine, unit: float, middle: Array, normal_stiffness: float)
     )
 
 
-def _stiffest(cement: BondState, radius: Array, traces: list[Trace]) -> float:
-    """Stiffness of the stiffest contact."""
-    bonded = 1.0 + (
+def _stiffest(law: ContactLaw, cement: BondState, radius: Array, traces: list[Trace]) -> float:
+    """Stiffness of the stiffest contact, along its normal or across it.
+
+    Bending adds nothing: k_r is at most k_n r² / 3, and grains that turn against each other
+    bend a bond that they do not shear.
+    """
+    bonded = max(law.kn, law.ks) + (
         float(np.maximum(cement.kn, cement.ks).max(initial=0.0))
         if cement.kind == PARALLEL_BONDS
         else 0.0
