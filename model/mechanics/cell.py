@@ -16,32 +16,25 @@ import numpy as np
 
 from model.compile import kernel
 from model.mechanics.bonds import BondState, no_bonds
-from model.mechanics.contacts import ContactLaw, Sums, contact_forces
+from model.mechanics.contacts import NO_WALLS, ContactLaw, Sums, contact_forces
 from model.mechanics.equilibrium import (
     AT_REST,
     LIST_STALE,
+    NOT_FINITE,
     OUT_OF_STEPS,
-    SKIN,
-    TIME_STEP,
+    Assembly,
     Run,
     Stop,
 )
 from model.mechanics.grains import Array, Grains
 from model.mechanics.joints import JointState, no_joints
 from model.mechanics.measures import listed
-from model.mechanics.motion import START_MIXING, Fire, fire_velocities, move
-from model.mechanics.neighbours import (
-    Pairs,
-    find_pairs,
-    largest_displacement,
-    no_pairs,
-    some_pairs,
-)
+from model.mechanics.motion import damped_velocities, fire_velocities, move
+from model.mechanics.neighbours import Pairs, find_pairs, no_pairs, some_pairs
 from model.mechanics.servo import Servo, mean_stresses, setpoint, stretches
 from model.outcome import ModelError
 
 SHIFTS = np.array([(1, 0), (0, 1), (1, 1), (-1, 1)])
-FAR = 1e9 * np.array([-1.0, 1.0, -1.0, 1.0])  # walls that nothing reaches
 
 
 class Images(NamedTuple):
@@ -93,19 +86,20 @@ def advance_cell(
     joints: JointState,
     law: ContactLaw,
     box: Array,
-    far: Array,
+    no_walls: Array,
     servo: Servo,
     stop: Stop,
     run: Run,
     dt: float,
+    damping: float,
     slack: float,
     reach: float,
     steps: int,
 ) -> tuple[int, int, Run, Sums]:
     """Step until at rest, until the list of pairs may be stale, or until a bound is met.
 
-    As `equilibrium.advance`, with FIRE and a cell in place of walls; `real` are the grains
-    without their images. Returns (how it ended, steps taken, run, sums).
+    As `equilibrium.advance`, with a cell of periods `box` in place of walls; `real` are the
+    grains without their images, the first part of `grains`.
     """
     fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
     since_x, since_y, ratio, error = run.since_x, run.since_y, run.ratio, run.error
@@ -113,15 +107,18 @@ def advance_cell(
     while True:
         place_images(grains, images, box)
         sums = contact_forces(
-            grains, pairs, bonds, joints, law, far, run.step + taken,
+            grains, pairs, bonds, joints, law, no_walls, run.step + taken,
             last, stretch_x, stretch_y, None,
         )  # fmt: skip
         unbalanced = fold_forces(grains, images)
+        mean = sums.force / max(sums.contacts, 1)
+        if not np.isfinite(sums.virial_xx + sums.virial_yy):
+            end = NOT_FINITE
+            break
         wanted_xx, wanted_yy = setpoint(servo, 1.0)
         if servo.gain > 0.0:
             mean_xx, mean_yy = mean_stresses(sums, box)
             error = max(abs(mean_xx - wanted_xx) / wanted_xx, abs(mean_yy - wanted_yy) / wanted_yy)
-        mean = sums.force / max(sums.contacts, 1)
         if error <= stop.stress and (unbalanced <= stop.ratio * mean or mean < stop.force):
             end = AT_REST
             break
@@ -134,46 +131,44 @@ def advance_cell(
             box[1] *= 1.0 + stretch_x
             box[2] *= 1.0 + stretch_y
             box[3] *= 1.0 + stretch_y
-        fire = fire_velocities(real, fire, dt)
-        last = fire.dt
+        if damping < 0.0:
+            fire = fire_velocities(real, fire, dt)
+            last = fire.dt
+        else:
+            damped_velocities(real, dt, damping, None)
+            last = dt
         fastest = move(real, last, stretch_x, stretch_y)
         since_x *= 1.0 + stretch_x
         since_y *= 1.0 + stretch_y
         slack -= last * np.sqrt(fastest) + reach * max(abs(stretch_x), abs(stretch_y))
         taken += 1
-        if slack < 0.0:
+        if not slack >= 0.0:
             end = LIST_STALE
             break
     if end != LIST_STALE:  # the contacts have seen the last step
         last = stretch_x = stretch_y = 0.0
         ratio = unbalanced / max(mean, 1e-300)
     run = Run(
-        fire, run.step + taken, last, stretch_x, stretch_y, since_x, since_y, 0.0, 0.0, 1.0,
-        0.0, 0.0, ratio, error,
+        fire=fire, step=run.step + taken, dt=last, stretch_x=stretch_x, stretch_y=stretch_y,
+        since_x=since_x, since_y=since_y, strain_x=0.0, strain_y=0.0,
+        progress=1.0, lead_x=0.0, lead_y=0.0, ratio=ratio, error=error,
     )  # fmt: skip
     return end, taken, run, sums
 
 
 @dataclass
-class Cell:
+class Cell(Assembly):
     """Grains in a periodic cell, moved as `equilibrium.Specimen` moves those between walls.
 
-    `grains` are n without images. The origin is the middle of the cell, whose sides must be
-    longer than six of the largest radii, so that no grain meets another, or itself, twice.
+    `grains` are n without images; `pairs.other` is a grain, or n + image. The origin is the
+    middle of the cell, whose sides must be longer than six of the largest radii, so that no grain
+    meets another, or itself, twice. A servo's target is held at once, without a path.
     """
 
-    grains: Grains
-    box: Array  # (4,) xmin, xmax, ymin, ymax of the cell
-    law: ContactLaw
-    dt: float = TIME_STEP
-    skin: float = SKIN
-    pairs: Pairs = field(init=False)  # other: grain, or n + image
     images: Images = field(init=False)
-    run: Run = field(init=False)
-    sums: Sums = field(init=False)
-    steps: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         sides = self.box[[1, 3]] - self.box[[0, 2]]
         if sides.min() < 6.0 * self.grains.radius.max():
             raise ModelError(
@@ -182,8 +177,6 @@ class Cell:
         none = np.empty(0, np.int64)
         self.images = Images(none, none, none)
         self.pairs = no_pairs(len(self.grains.x))
-        fire = Fire(self.dt, START_MIXING, 0)
-        self.run = Run(fire, 0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, np.inf, np.inf)
         self._list_pairs()
 
     @property
@@ -192,32 +185,14 @@ class Cell:
         area = (self.box[1] - self.box[0]) * (self.box[3] - self.box[2])
         return float(1.0 - np.pi * np.sum(self.grains.radius**2) / area)
 
-    def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
-        """Hold the servo's target until at rest, by FIRE; returns AT_REST or OUT_OF_STEPS."""
-        if damping >= 0.0:
-            raise ValueError("a periodic cell comes to rest by FIRE alone")
-        self.run = self.run._replace(ratio=np.inf, error=np.inf)
-        reach = float(self.grains.radius.max()) + self.skin
-        slack = self._slack(reach)
-        left = steps
-        while True:
-            end, taken, self.run, self.sums = advance_cell(
-                self._all, self.grains, self.images, self.pairs, no_bonds(), no_joints(), self.law,
-                self.box, FAR, servo, stop, self.run, self.dt, slack, reach, left,
-            )  # fmt: skip
-            self.steps += taken
-            left -= taken
-            if end != LIST_STALE:
-                return int(end)
-            slack = self._slack(reach)
-            if slack < 0.1 * self.skin:
-                self._list_pairs()
-                slack = 0.5 * self.skin
-
-    def stand_still(self) -> None:
-        """Take all motion away."""
-        for velocity in (self.grains.vx, self.grains.vy, self.grains.spin):
-            velocity[:] = 0.0
+    def _advance(
+        self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
+    ) -> tuple[int, int, Run, Sums]:
+        ended: tuple[int, int, Run, Sums] = advance_cell(
+            self._all, self.grains, self.images, self.pairs, no_bonds(), no_joints(), self.law,
+            self.box, NO_WALLS, servo, stop, self.run, self.dt, damping, slack, reach, steps,
+        )  # fmt: skip
+        return ended
 
     def contacts(self) -> tuple[Array, Array, Array, Array, Array, Array]:
         """Touching pairs: grains a and b, periods by which b is moved, overlap, shear; all (c,)."""
@@ -247,7 +222,7 @@ class Cell:
         return ((a * n + owner) * 3 + shift[:, 0] + 1) * 2 + shift[:, 1]
 
     def _list_pairs(self) -> None:
-        """Make images and pairs anew; the shear forces of contacts stay."""
+        """As every assembly does, with images made anew."""
         old_keys, old_shear = self._keys(), self.pairs.shear
         grains, n = self.grains, len(self.grains.x)
         sides = self.box[[1, 3]] - self.box[[0, 2]]
@@ -277,12 +252,3 @@ class Cell:
         self.pairs.shear[kept] = old_shear[
             order[np.searchsorted(old_keys, keys[kept], sorter=order)]
         ]
-        self.run = self.run._replace(since_x=1.0, since_y=1.0)
-
-    def _slack(self, reach: float) -> float:
-        """How far grains may still move before the list of pairs can miss a contact."""
-        run, n = self.run, len(self.grains.x)
-        affine = reach * max(abs(run.since_x - 1.0), abs(run.since_y - 1.0))
-        of_grains = self.pairs._replace(x=self.pairs.x[:n], y=self.pairs.y[:n])
-        moved = largest_displacement(self.grains, of_grains, run.since_x, run.since_y)
-        return 0.5 * self.skin - affine - float(moved)

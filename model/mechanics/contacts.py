@@ -30,6 +30,9 @@ class ContactLaw(NamedTuple):
     friction: float
 
 
+NO_WALLS = np.array([-np.inf, np.inf, -np.inf, np.inf])  # a box that nothing touches
+
+
 class Sums(NamedTuple):
     """What one pass over the contacts adds up."""
 
@@ -68,10 +71,11 @@ def contact_forces(
     """Set the forces and torques of all grains, and advance what contacts and bonds remember.
 
     The step that led to the present positions, the one numbered `step`, was `dt` times the
-    velocities plus an affine stretch; shear forces grow by it. Walls are frictionless and as
-    stiff as the grains. A pair stands under its grain with the smaller index, so that the
-    forces on a grain are complete when its row is done: the virial is Σ x F over the grains,
-    less what the walls push. `ledger` counts energies where it is given.
+    velocities plus an affine stretch (strains in x and y, extension positive); shear forces grow
+    by it. Walls xmin, xmax, ymin, ymax, `box` (4,), are frictionless and as stiff as the grains.
+    A pair stands under its grain with the smaller index, so that the forces on a grain are
+    complete when its row is done: the virial is Σ x F over the grains, less what the walls push.
+    `ledger` counts energies where it is given.
     """
     x, y, radius = grains.x, grains.y, grains.radius
     fx, fy, torque = grains.fx, grains.fy, grains.torque

@@ -59,7 +59,11 @@ def slip(fs: float, limit: float) -> float:
 
 @kernel
 def local_damping(force: float, velocity: float, alpha: float) -> float:
-    """Force left after local damping: F − α |F| sign(v) (Cundall 1987)."""
+    """Force left after local damping: F − α |F| sign(v) (Cundall 1987).
+
+    What stands still counts as moving against the force, F (1 + α), so that no sign of zero is
+    asked for in the loop over grains; it lasts for one step.
+    """
     if force * velocity > 0.0:
         return force * (1.0 - alpha)
     return force * (1.0 + alpha)

@@ -29,7 +29,11 @@ class Fire(NamedTuple):
 
 @kernel
 def damped_velocities(grains: Grains, dt: float, alpha: float, ledger: Array | None) -> None:
-    """Advance velocities with locally damped forces: v ← v + Δt F_damped / m."""
+    """Advance velocities with locally damped forces: v ← v + Δt F_damped / m.
+
+    `dt` is the time step, `alpha` the coefficient of damping; a `ledger` (`energy`) counts what
+    it takes where it is given.
+    """
     for i in range(grains.x.size):
         step = dt * grains.inverse_mass[i]
         r = grains.radius[i]

@@ -13,8 +13,13 @@ import numpy as np
 
 from model.compile import kernel
 from model.mechanics.grains import Array, Grains
+from model.outcome import ModelError
 
 JOINED = -2  # in place of a bond: a smooth joint runs between the two (`joints`)
+RAN_AWAY = (
+    "the grains ran away: a position or force is no finite number any more; try stiffnesses of "
+    "bonds and joints nearer to that of the grains, or a smaller step of the strain"
+)
 
 
 class Pairs(NamedTuple):
@@ -55,12 +60,12 @@ def some_pairs(pairs: Pairs, which: Array | slice) -> Pairs:
 def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
     """All pairs closer than `skin`, with the shear forces and bonds of the old list.
 
-    Pairs are ordered by i, then by j. Raises FloatingPointError where a grain's position is
-    not a number.
+    Pairs are ordered by i, then by j. Raises ModelError where a grain's position is no finite
+    number.
     """
     x, y, radius = grains.x, grains.y, grains.radius
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
-        raise FloatingPointError("a grain has no finite position")
+        raise ModelError(RAN_AWAY)
     low_x, low_y = float(x.min()), float(y.min())
     width, height = float(np.ptp(x)), float(np.ptp(y))
     size = 2.0 * float(radius.max()) + skin
@@ -89,7 +94,10 @@ def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
 def sort_into_cells(
     x: Array, y: Array, low_x: float, low_y: float, size: float, nx: int, ny: int
 ) -> tuple[Array, Array]:
-    """Counting sort of the grains into nx × ny square cells: (first of each cell, members)."""
+    """Counting sort of the grains into nx × ny square cells of side `size`.
+
+    Returns the first member of each cell, int64 (nx ny + 1,), and the members, (n,).
+    """
     first = np.zeros(nx * ny + 1, np.int64)
     cell = np.empty(x.size, np.int64)
     for i in range(x.size):

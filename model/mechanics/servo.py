@@ -171,12 +171,12 @@ def oscillates(
 
     `swings` (2, 4) remembers of xx and yy: the last error, the largest one since its sign
     changed, that of the swing with which others are compared, and how many did not fall below
-    DECAY of it. It starts as zeros. A stress that is driven is not watched.
+    DECAY of it. It starts as zeros. A direction that is driven is not watched.
     """
-    if not (np.isnan(servo.drive_x) and np.isnan(servo.drive_y)):
-        return False
     mean_xx, mean_yy = mean_stresses(sums, box)
     for k in range(2):
+        if not np.isnan(servo.drive_x if k == 0 else servo.drive_y):
+            continue
         error = mean_xx / wanted_xx - 1.0 if k == 0 else mean_yy / wanted_yy - 1.0
         if error * swings[k, 0] < 0.0:
             swing = swings[k, 1]

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from model.mechanics import measures, records
-from model.mechanics.equilibrium import AT_REST, FIRE, OSCILLATES, Specimen, Stop
+from model.mechanics.equilibrium import AT_REST, FIRE, NEVER, OSCILLATES, Specimen, Stop
 from model.mechanics.grains import Array
 from model.mechanics.rock import specimen_of
 from model.mechanics.servo import STANDING, TOO_STIFF, Servo
@@ -45,8 +45,8 @@ RECORDS = 1000  # along the largest strain
 ELASTIC = 0.5  # part of the peak stress below which the moduli are read
 DAMPING = 0.7  # local: strain rates are small, waves should die
 FAR = 10.0  # widths and heights by which walls are taken away
-NEVER = -1.0  # a ratio at which nothing counts as at rest
 LEAST_STRESS = 1e-7  # over k_n, that a servo can hold
+OVERSHOOTS = f"the servo of the confining stress oscillates, for {TOO_STIFF}"
 
 
 class Record(NamedTuple):
@@ -203,7 +203,7 @@ def _hold(specimen: Specimen, confining: float, wanted: float) -> None:
     path = path._replace(calm=np.inf)  # far from any strength
     reason = specimen.relax(path, HELD, damping=DAMPING, steps=HOLDING)
     if reason == OSCILLATES:
-        raise ModelError(f"the servo of the confining stress oscillates, for {TOO_STIFF}")
+        raise ModelError(OVERSHOOTS)
     if reason != AT_REST:
         run = specimen.run
         raise ModelError(
@@ -223,7 +223,6 @@ def _press(specimen: Specimen, test: FailureTest, confining: float) -> list[Reco
         wrap(specimen, confining)
         drive = drive._replace(drive_x=0.0)
     per_record = max(1, round(test.largest_strain / RECORDS / test.strain_step))
-    never = Stop(ratio=NEVER, stress=np.inf)
     peak, taken, rows = 0.0, 0, list[Record]()
     while True:
         lateral, axial = gauge.strains()
@@ -238,7 +237,8 @@ def _press(specimen: Specimen, test: FailureTest, confining: float) -> list[Reco
         fallen = stress < FALLEN * peak and peak > 1.2 * rows[0].stress
         if fallen or taken * test.strain_step >= test.largest_strain:
             return rows
-        specimen.relax(drive, never, damping=DAMPING, steps=per_record)
+        if specimen.relax(drive, NEVER, damping=DAMPING, steps=per_record) == OSCILLATES:
+            raise ModelError(OVERSHOOTS)
         taken += per_record
 
 
@@ -269,12 +269,11 @@ def _pull(specimen: Specimen, test: FailureTest) -> list[Record]:
     speed = 0.5 * test.strain_step * length / specimen.dt
     grains.vy[:] = 2.0 * speed * grains.y / length
     grains.vy[top], grains.vy[bottom] = speed, -speed
-    never = Stop(ratio=NEVER, stress=np.inf)
     per_record = max(1, round(test.largest_strain / RECORDS / test.strain_step))
     rows = [Record(specimen.run.step, 0.0, 0.0, 0.0, 0.0, 0.0, 0)]
     taken, peak = 0, 0.0
     while taken * test.strain_step < test.largest_strain:
-        specimen.relax(STANDING, never, damping=DAMPING, steps=per_record)
+        specimen.relax(STANDING, NEVER, damping=DAMPING, steps=per_record)
         taken += per_record
         force = 0.5 * float(grains.fy[bottom].sum() - grains.fy[top].sum())
         lateral, axial = gauge.strains()
@@ -294,6 +293,11 @@ class Gauge:
         half = 0.5 * GAUGE * np.array([box[1] - box[0], box[3] - box[2]])
         self.specimen = specimen
         self.inside = (np.abs(grains.x) < half[0]) & (np.abs(grains.y) < half[1])
+        if np.count_nonzero(self.inside) < 3:
+            raise ModelError(
+                "fewer than three grains lie in the middle of the specimen, where its strains are "
+                "measured; raise grains.count"
+            )
         self.x, self.y = grains.x[self.inside].copy(), grains.y[self.inside].copy()
 
     def strains(self) -> tuple[float, float]:

@@ -13,14 +13,12 @@ import numpy as np
 
 from model.mechanics.backbone import load_carrying
 from model.mechanics.bonds import INTACT, BondState
-from model.mechanics.contacts import Sums, contact_forces
+from model.mechanics.contacts import NO_WALLS, Sums, contact_forces
 from model.mechanics.equilibrium import Specimen
 from model.mechanics.grains import Array, Grains
 from model.mechanics.measures import listed
 from model.mechanics.walls import INWARD
 from model.products import UnitLoads
-
-FAR = np.array([-np.inf, np.inf, -np.inf, np.inf])  # walls that nothing touches
 
 
 class Trial(ABC):
@@ -150,7 +148,7 @@ class TrueTrial(Trial):
         specimen.pairs.shear[:] = self.shear
         bonds.shear[:], bonds.moment[:] = self.memory
         sums: Sums = contact_forces(
-            self.grains, specimen.pairs, bonds, specimen.joints, specimen.law, FAR,
+            self.grains, specimen.pairs, bonds, specimen.joints, specimen.law, NO_WALLS,
             0, 1.0, 0.0, 0.0, None,
         )  # fmt: skip
         return sums

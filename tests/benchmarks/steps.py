@@ -7,7 +7,7 @@ from functools import cache
 
 import numpy as np
 
-from model.mechanics.equilibrium import Specimen, Stop
+from model.mechanics.equilibrium import NEVER, Specimen
 from model.mechanics.packing import pack
 from model.mechanics.rock import specimen_of
 from model.mechanics.stress import DAMPING, straight_path
@@ -18,7 +18,6 @@ from tests.benchmarks.result import Result
 from tests.peers.yade import PeerMissingError, run_in_yade
 
 KN, STIFFNESS_RATIO, FRICTION = 40e9, 2.5, 0.5
-NEVER = Stop(ratio=0.0, stress=-1.0)
 REPEATS = 5
 PARTICLE_STEPS = 8_000_000  # of a run that is timed
 # A packing without its walls is held by its own images in a periodic box that is smaller by

@@ -13,7 +13,7 @@ from model.mechanics.bonds import (
     strengths,
 )
 from model.mechanics.contacts import ContactLaw, Sums, contact_forces
-from model.mechanics.equilibrium import Specimen, Stop
+from model.mechanics.equilibrium import NEVER, Specimen
 from model.mechanics.grains import at_rest
 from model.mechanics.joints import no_joints
 from model.mechanics.neighbours import Pairs
@@ -181,12 +181,11 @@ def cantilever(n: int, radius: float, ks: float) -> tuple[float, float]:
     cement = bonds("parallel", n - 1, ks=ks, radius=radius)
     law = ContactLaw(1.0, ks, 0.0)
     specimen = Specimen(grains, FAR.copy(), law, bonds=cement, known=pairs)
-    never = Stop(ratio=0.0, stress=-1.0)
     lift, steps = 1e-5 * radius, 100
     grains.vy[-1] = lift / (steps * specimen.dt)
-    specimen.relax(STANDING, never, damping=0.3, steps=steps)
+    specimen.relax(STANDING, NEVER, damping=0.3, steps=steps)
     grains.vy[-1] = 0.0
-    specimen.relax(STANDING, never, damping=0.3, steps=100 * n * n)
+    specimen.relax(STANDING, NEVER, damping=0.3, steps=100 * n * n)
     return grains.fy[0] / lift, specimen.bonds.moment[0] / lift
 
 
@@ -227,7 +226,7 @@ def test_breakages_are_told_with_step_place_and_mode() -> None:
     specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), bonds=cement, known=pairs)
     speed = 1e-6
     grains.vx[-1] = speed
-    specimen.relax(STANDING, Stop(ratio=0.0, stress=-1.0), damping=0.7, steps=20_000)
+    specimen.relax(STANDING, NEVER, damping=0.7, steps=20_000)
     found = broken(specimen)
     assert found.mode.tolist() == [BROKEN_IN_TENSION]
     # strength · 2 R̄ = force = stretch of n − 1 contacts in a row

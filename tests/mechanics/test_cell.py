@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from model.mechanics.cell import Cell
-from model.mechanics.compaction import attempt
+from model.mechanics.compaction import attempt, hydrostatic
 from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import FIRE, Stop
+from model.mechanics.equilibrium import AT_REST, FIRE, NEVER, Stop
 from model.mechanics.grains import at_rest
 from model.mechanics.measures import porosity
 from model.mechanics.packing import pack
@@ -20,7 +20,6 @@ from model.stages import STAGES, simulate
 from tests.mechanics.rocks import REGIONS, net_forces
 
 LAW = sizes_of("uniform", 1.66, None, None)
-NEVER = Stop(ratio=-1.0, stress=np.inf)
 
 
 @pytest.fixture(scope="module")
@@ -85,6 +84,15 @@ def test_no_contact_is_missed_and_momentum_is_kept_while_grains_part() -> None:
         force = np.hypot(grains.fx, grains.fy).sum()
         assert abs(grains.fx.sum()) < 1e-12 * force
         assert abs(grains.fy.sum()) < 1e-12 * force
+
+
+def test_a_cell_rests_by_local_damping_as_well_and_tells_what_runs_away() -> None:
+    cell = moving()
+    stop = Stop(ratio=0.05, stress=0.01)
+    assert cell.relax(hydrostatic(1e-3), stop, damping=0.5, steps=20_000) == AT_REST
+    cell.grains.vy[7] = np.nan
+    with pytest.raises(ModelError, match="ran away"):
+        cell.relax(hydrostatic(1e-3), stop, damping=FIRE, steps=1000)
 
 
 def test_the_place_of_the_cell_does_not_matter() -> None:

@@ -10,14 +10,13 @@ from hypothesis import strategies as st
 from model.mechanics.blocks import BLOCK
 from model.mechanics.bonds import no_bonds
 from model.mechanics.contacts import ContactLaw, contact_forces
-from model.mechanics.equilibrium import OUT_OF_STEPS, Specimen, Stop
+from model.mechanics.equilibrium import NEVER, OUT_OF_STEPS, Specimen
 from model.mechanics.grains import Grains, at_rest
 from model.mechanics.joints import no_joints
 from model.mechanics.laws import local_damping, normal_force, shear_force, slip, tangential_step
 from model.mechanics.neighbours import find_pairs, no_pairs
 from model.mechanics.servo import STANDING, Servo
 
-NEVER = Stop(ratio=0.0, stress=-1.0)
 FAR = np.array([-1e3, 1e3, -1e3, 1e3])  # walls that nothing reaches
 
 
@@ -194,8 +193,12 @@ def test_scalar_laws() -> None:
     assert normal_force(3.0, 0.5) == 1.5
     assert shear_force(0.2, 2.0, 0.05) == pytest.approx(0.1)
     assert [slip(f, 1.0) for f in (-2.0, -0.5, 0.5, 2.0)] == [-1.0, -0.5, 0.5, 1.0]
-    assert local_damping(2.0, 1.0, 0.5) == 1.0  # against the motion
-    assert local_damping(2.0, -1.0, 0.5) == 3.0
+    for force in (2.0, -2.0):
+        for velocity in (1.0, -1.0):
+            wanted = force - 0.5 * abs(force) * np.sign(velocity)
+            assert local_damping(force, velocity, 0.5) == wanted
+        for standing in (0.0, -0.0):  # as if it moved against the force
+            assert local_damping(force, standing, 0.5) == 1.5 * force
 
 
 def gas(*, turn: float = 0.0, flip: float = 1.0, order=None) -> Grains:

@@ -6,7 +6,7 @@ import pytest
 from model.mechanics.bonds import INTACT
 from model.mechanics.compaction import hydrostatic
 from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import FIRE, OUT_OF_STEPS, Specimen, Stop
+from model.mechanics.equilibrium import FIRE, NEVER, OUT_OF_STEPS, Specimen
 from model.mechanics.grains import at_rest
 from model.mechanics.joints import Trace
 from model.mechanics.rock import specimen_of
@@ -15,7 +15,6 @@ from model.mechanics.stress import straight_path
 from model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
 
-NEVER = Stop(ratio=0.0, stress=-1.0)
 KN = 40e9
 WEAK = Joint(
     normal_stiffness=KN, shear_stiffness=KN, friction=0.3, cohesion=1e5, dilation_angle=0.1

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from model.mechanics.backbone import contacts_of
-from model.mechanics.contacts import contact_forces
+from model.mechanics.contacts import NO_WALLS, contact_forces
 from model.mechanics.moduli import RIM, elastic_moduli
 from model.mechanics.rock import specimen_of
 from model.mechanics.stiffness import Contacts, factorise, matrix, solve
 from model.mechanics.stress import load, unit_loads
-from model.mechanics.trial import FAR
 from model.outcome import ModelError
 from model.scene import Bonds, SceneError, Stress
 from tests.mechanics.rocks import net_forces, packed
@@ -58,7 +57,7 @@ def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
         grains.x[:], grains.y[:] = x + sign * u[:, 0], y + sign * u[:, 1]
         grains.vx[:], grains.vy[:], grains.spin[:] = sign * u.T
         contact_forces(
-            grains, specimen.pairs, specimen.bonds, specimen.joints, specimen.law, FAR,
+            grains, specimen.pairs, specimen.bonds, specimen.joints, specimen.law, NO_WALLS,
             0, 1.0, 0.0, 0.0, None,
         )  # fmt: skip
         grains.x[:], grains.y[:] = x, y
