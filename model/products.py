@@ -46,6 +46,7 @@ class UnitLoads(NamedTuple):
     """
 
     base: Array  # (m,) displacement that balances the packed state
+    base_ratio: Array  # () mean unbalanced over mean contact force that it leaves
     packed: Array  # (3,) stresses of the packed state
     displacement: Array  # (3, m) by σ_xx, σ_yy, σ_xy = 1
     shear_strain: Array  # () tilt of the walls by σ_xy = 1

@@ -262,7 +262,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="unit_loads",
         function="model.mechanics.stress:unit_loads",
-        version=4,
+        version=5,
         parents=("pack",),
         reads={
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,

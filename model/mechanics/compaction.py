@@ -8,9 +8,12 @@ k_n are lengths:
    them jam.
 2. With the packing friction, the servo brings the box to COMPACTION, or to the recipe's
    pressure if that is higher.
-3. Still with the packing friction, the pressure falls to the recipe's.
+3. Still with the packing friction, the pressure falls to the recipe's, for EASING steps at
+   most: near jamming, the last of it would take very many.
 4. Friction is raised, so that the last motion dies quickly, until grains are at REST. Forces
    hardly change.
+
+The other phases have bounds that are not met as a rule; a packing that meets one is not at rest.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from model.mechanics.neighbours import find_pairs
 from model.mechanics.servo import STANDING, Servo
 from model.mechanics.sizes import Sizes, draw_radii
 from model.mechanics.tiles import tiled
+from model.outcome import ModelError
 
 COMPACTION = 1e-3  # least pressure of phase 2, over k_n
 SHEAR_STIFFNESS = 1.0 / 2.5  # over the normal stiffness, while packing
@@ -39,6 +43,7 @@ RING = 12.0  # mean radii around a cell in which floaters are fitted to measure 
 RESTING_FRICTION = 10.0  # of the last phase
 APART = 1e-5  # mean contact force over k_n r below which strewn grains count as parted
 REST = Stop(ratio=1e-3, stress=5e-3)
+PARTING, COMPACTING, EASING, RESTING = 3000, 4000, 1000, 12000  # most steps of each phase
 
 
 class Recipe(NamedTuple):
@@ -103,7 +108,8 @@ def strewn(
 ) -> Specimen | Cell:
     """Grains strewn at the solid fraction `start`, parted without friction in a standing box.
 
-    At the wanted porosity they fill a box of `size` (width, height; mean radii).
+    At the wanted porosity they fill a box of `size` (width, height; mean radii). Raises
+    ModelError where they do not part.
     """
     n = max(4, round((1.0 - porosity) * size[0] * size[1] / (np.pi * law.mean_square)))
     radius = np.sort(draw_radii(law, n, rng))
@@ -124,19 +130,26 @@ def strewn(
         ContactLaw(1.0, SHEAR_STIFFNESS, 0.0),
     )
     apart = Stop(ratio=0.1, stress=np.inf, force=APART)
-    specimen.relax(STANDING, apart, damping=FIRE, steps=3000)
+    if specimen.relax(STANDING, apart, damping=FIRE, steps=PARTING) != AT_REST:
+        raise ModelError(
+            f"strewn grains did not part in {PARTING} steps: an unbalanced force of "
+            f"{specimen.run.ratio:.1e} of the contact force is left; try another grains.seed"
+        )
     specimen.stand_still()
     return specimen
 
 
 def compact(specimen: Specimen | Cell, recipe: Recipe) -> bool:
-    """Phases 2 to 4 of a packing; False if it does not come to rest."""
+    """Phases 2 to 4 of a packing; False if phase 2 or 4 does not come to rest."""
+
+    def held(pressure: float, stop: Stop, steps: int) -> bool:
+        return specimen.relax(hydrostatic(pressure), stop, damping=FIRE, steps=steps) == AT_REST
+
     specimen.law = specimen.law._replace(friction=recipe.friction)
-    first, last = max(COMPACTION, recipe.pressure), recipe.pressure
-    specimen.relax(hydrostatic(first), Stop(ratio=0.1, stress=0.05), damping=FIRE, steps=4000)
-    specimen.relax(hydrostatic(last), Stop(ratio=0.03, stress=0.02), damping=FIRE, steps=1000)
+    compacted = held(max(COMPACTION, recipe.pressure), Stop(ratio=0.1, stress=0.05), COMPACTING)
+    held(recipe.pressure, Stop(ratio=0.03, stress=0.02), EASING)
     specimen.law = specimen.law._replace(friction=RESTING_FRICTION)
-    return specimen.relax(hydrostatic(last), REST, damping=FIRE, steps=12000) == AT_REST
+    return held(recipe.pressure, REST, RESTING) and compacted
 
 
 def hydrostatic(pressure: float) -> Servo:

@@ -23,12 +23,14 @@ from model.mechanics.stiffness import ANCHOR, TOUCHING, Factor, factorise, matri
 from model.mechanics.trial import Trial, TrueTrial
 from model.mechanics.wall_contacts import WallContacts, loose_contacts
 from model.mechanics.walls import shear_load, tilt_load, wall_shares
+from model.outcome import ModelError
 from model.products import UnitLoads
 
 MOST_CORRECTIONS = 40
 MOST_HELD = 6  # of a state whose contacts hold: each divides its unbalance by a hundred or more
 BASE_TOLERANCE, BASE_CORRECTIONS = 1e-9, 100  # of the packed state, from which stresses count
 REFINEMENTS = 3  # of each unit load
+LEAST_SHEAR = 1e-9  # stiffness against a tilt of the walls, over that of their own contacts
 MEMORY = 10  # corrections that the next one takes into account
 
 
@@ -49,6 +51,8 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
     ----------
     specimen : grains as they were packed, bonded; it is displaced.
     packed : stresses xx, yy, xy of its walls over k_n.
+
+    Raises ModelError where too few grains touch to resist a shear.
     """
     grains, box, n = specimen.grains, specimen.box, len(specimen.grains.x)
     width, height = box[1] - box[0], box[3] - box[2]
@@ -81,7 +85,13 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         [(grains.y if side < 2 else grains.x)[held] for side, held in enumerate(contacts.walls)]
     )
     own = 0.25 * specimen.law.kn * float(np.sum(along**2))
-    shear = float(tilt @ displacement[2]) / (own - float(tilt @ tilted))
+    resists = own - float(tilt @ tilted)
+    if not resists > LEAST_SHEAR * own:
+        raise ModelError(
+            f"walls around {n} grains tilt without resistance: too few of them touch for a static "
+            "solution; raise grains.count, or try stress.method explicit"
+        )
+    shear = float(tilt @ displacement[2]) / resists
     displacement[2] += shear * tilted
     # what nothing holds is carried along
     free = np.bincount(np.r_[contacts.a, contacts.b], minlength=n) == 0
@@ -97,6 +107,7 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
     distance = np.hypot(*(field[b[glued]] - field[a[glued]] for field in (grains.x, grains.y)))
     units = UnitLoads(
         base=np.zeros(3 * n + 2),
+        base_ratio=np.array(np.inf),
         packed=np.array(packed, dtype=float),
         displacement=displacement,
         shear_strain=np.array(shear),
@@ -119,9 +130,9 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         lower=factor.lower,
         pivot=factor.pivot,
     )
-    base = np.zeros(3 * n + 2)
-    _correct(TrueTrial(specimen, units), units, base, packed, BASE_TOLERANCE, BASE_CORRECTIONS)
-    return units._replace(base=base)
+    base, trial = np.zeros(3 * n + 2), TrueTrial(specimen, units)
+    _, ratio = _correct(trial, units, base, packed, BASE_TOLERANCE, BASE_CORRECTIONS)
+    return units._replace(base=base, base_ratio=np.array(ratio))
 
 
 def superpose(trial: HeldTrial, units: UnitLoads, wanted: Array, tolerance: float) -> Found:
@@ -149,7 +160,8 @@ def superpose(trial: HeldTrial, units: UnitLoads, wanted: Array, tolerance: floa
         before = ratio
     ratio += astray
     if ratio > tolerance:
-        return Found(False, corrections, ratio, "its contacts slip, open or close")
+        why = "its contacts slip, open or close" + elastic.doubts()
+        return Found(False, corrections, ratio, why)
     why = f"{trial.broken} bonds would break" if trial.broken else ""
     return Found(trial.broken == 0, corrections, ratio, why, trial.broken > 0)
 
@@ -161,10 +173,11 @@ def equilibrium(specimen: Specimen, units: UnitLoads, wanted: Array, tolerance: 
     left in the state that was found, spoilt where none was.
     """
     trial = TrueTrial(specimen, units)
-    u = Elastic(units, trial).superposed(wanted, wanted[2] * float(units.shear_strain))
+    elastic = Elastic(units, trial)
+    u = elastic.superposed(wanted, wanted[2] * float(units.shear_strain))
     corrections, ratio = _correct(trial, units, u, wanted, tolerance, MOST_CORRECTIONS)
     if ratio > tolerance:
-        why = f"its corrections end at an unbalance of {ratio:.1e}"
+        why = f"its corrections end at an unbalance of {ratio:.1e}" + elastic.doubts()
         return Found(False, corrections, ratio, why)
     broken = trial.broken_bonds()
     trial.accept(ratio)
@@ -189,6 +202,15 @@ class Elastic:
     def step(self, residual: Array, u: Array, tilt: float) -> Array:
         """Displacement that takes an unbalance away, from a state u."""
         return self.walls.corrected(solve(self.factor, residual), u, tilt)
+
+    def doubts(self) -> str:
+        """What this rests on that did not converge, to be added to why a state is not found."""
+        found, ratio = "", float(self.units.base_ratio)
+        if not ratio <= BASE_TOLERANCE:
+            found += f", the packed state that it starts from has an unbalance of {ratio:.1e} left"
+        if not self.walls.settled:
+            found += ", contacts with the walls open and close in turns"
+        return found
 
 
 def _correct(

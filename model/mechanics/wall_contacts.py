@@ -86,6 +86,7 @@ class WallContacts:
         self.compliance = np.array([self.gained(row) for row in self.response]).reshape(
             len(which), len(which)
         )
+        self.settled = True  # whether the last sum of unit loads did
         self.lacked = np.maximum(self.sign * (self.overlap - self.gained(units.base)), 0.0)
 
     def gained(self, u: Array) -> Array:
@@ -97,6 +98,7 @@ class WallContacts:
     def settle(self, u: Array, tilt: float) -> None:
         """Add to a sum of unit loads what contacts change that close or open, until none does.
 
+        Where they go on in turns, MOST_CHANGES of them, it is not `settled`: a first guess.
         The press that the factor lacks is e = max(±o, 0), + where the grain did not touch, and
         o = o_u − S (e − e₀) its overlap, e₀ that of the packed state.
         """
@@ -105,9 +107,11 @@ class WallContacts:
         overlap += self.compliance @ self.lacked
         lacks = np.zeros(len(sign))
         active = np.zeros(len(sign), bool)
+        self.settled = False
         for _ in range(MOST_CHANGES):
             now = sign * (overlap - self.compliance @ lacks) > 0.0
-            if np.array_equal(now, active):
+            self.settled = np.array_equal(now, active)
+            if self.settled:
                 break
             active = now
             lacks = np.zeros(len(sign))

@@ -3,13 +3,23 @@
 import numpy as np
 import pytest
 
+from model.mechanics.compaction import hydrostatic
 from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import AT_REST, FIRE, OSCILLATES, TIME_STEP, Specimen, Stop
+from model.mechanics.equilibrium import (
+    AT_REST,
+    FIRE,
+    NEVER,
+    OSCILLATES,
+    OUT_OF_STEPS,
+    TIME_STEP,
+    Specimen,
+    Stop,
+)
 from model.mechanics.grains import at_rest, scaled_mass
 from model.mechanics.measures import listed, overlaps
 from model.mechanics.servo import STANDING, Servo
 from model.mechanics.strength import strength
-from model.mechanics.stress import load, specimen_of
+from model.mechanics.stress import load, specimen_of, unit_loads
 from model.outcome import ModelError
 from model.parameters import SceneError
 from model.scene import Bonds, FailureTest, Joint, JointLine, Stress
@@ -68,7 +78,7 @@ def test_sizes_of_one_to_ten(cement) -> None:
 
 def test_grains_without_friction_bear_no_more_than_their_confinement(rock) -> None:
     found = to_failure(rock, None, friction=0.0, confining_stress=10e6)
-    assert 10e6 < float(found.peak_strength) < 2.0 * 10e6  # fewer than 20 grains across
+    assert 1.2 * 10e6 < float(found.peak_strength) < 1.8 * 10e6  # fewer than 20 grains across
 
 
 @pytest.mark.parametrize(("n", "spread"), [(2, 0.0), (60, 1e-9), (60, 2.0)])
@@ -92,14 +102,80 @@ def test_grains_on_top_of_each_other_part(n: int, spread: float) -> None:
 @pytest.mark.parametrize("kind", ["biaxial", "tension"])
 def test_few_grains_are_tested_within_more_of_them(count: int, kind: str) -> None:
     found = to_failure(packed(0.18, count=count), bonds(50e6), kind=kind, confining_stress=5e6)
-    assert 5e6 < float(found.peak_strength) < 200e6
+    # over the strength of its bonds: in compression some 3.6 times what it is in tension
+    low, high = (1.4, 2.0) if kind == "biaxial" else (0.4, 0.55)
+    assert low * 50e6 < float(found.peak_strength) < high * 50e6
     assert all(np.isfinite(field).all() for field in found)
+
+
+def few(n: int) -> Specimen:
+    """One to three grains in a box that is a little too wide for them."""
+    x = np.array([[0.0], [-1.0, 1.0], [-1.0, 1.0, 0.0]][n - 1])
+    y = np.array([[0.0], [0.0, 0.0], [-0.8, -0.8, 0.9]][n - 1])
+    radius = np.array([1.0, 0.9, 1.1])[:n]
+    grains = at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP))
+    return Specimen(grains, 2.1 * np.array([-1.0, 1.0, -1.0, 1.0]), ContactLaw(1.0, 0.4, 0.5))
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+@pytest.mark.parametrize("damping", [0.5, FIRE])
+def test_one_to_three_grains_come_to_rest_between_walls(n: int, damping: float) -> None:
+    for ratio in (1.0, 1.2):
+        specimen = few(n)
+        servo = hydrostatic(2e-4)._replace(target_xx=ratio * 2e-4)
+        stop = Stop(ratio=1e-3, stress=1e-3)
+        assert specimen.relax(servo, stop, damping=damping, steps=10_000) == AT_REST
+        assert all(np.isfinite(part).all() for part in (*specimen.grains, specimen.box))
+        width, height = specimen.box[[1, 3]] - specimen.box[[0, 2]]
+        sums = specimen.sums
+        walls = [sums.left / height, sums.right / height, sums.bottom / width, sums.top / width]
+        wanted = 2e-4 * np.array([ratio, ratio, 1.0, 1.0])
+        np.testing.assert_allclose(walls, wanted, rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["contact", "parallel"])
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_one_to_three_bonded_grains_are_loaded_or_refused_in_words(n: int, kind: str) -> None:
+    """One grain a wall does not keep it from tilting, which the static solver needs."""
+    specimen = few(n)
+    rest = Stop(ratio=1e-3, stress=5e-3)
+    assert specimen.relax(hydrostatic(2e-4), rest, damping=FIRE, steps=10_000) == AT_REST
+    grains = specimen.grains
+    a, b = listed(specimen.pairs)
+    overlap = overlaps(grains.x, grains.y, grains.radius, a, b)
+    touch = overlap > 0.0
+    few_packed = packed(count=150)._replace(
+        x=grains.x, y=grains.y, radius=grains.radius, box=specimen.box,
+        contact_a=a[touch], contact_b=b[touch], normal_force=overlap[touch],
+        shear_force=specimen.pairs.shear[touch], packing_pressure=np.array(2e-4),
+    )  # fmt: skip
+    cement = bonds(1e9, kind)
+    law = {"stiffness_ratio": 2.5, "friction": 0.5}
+    with pytest.raises(ModelError, match=r"tilt without resistance.*raise grains\.count"):
+        unit_loads(few_packed, bonds=cement.elastic(KN), **law)
+    stress = Stress(xx=12e6, yy=10e6)
+    state = load(few_packed, normal_stiffness=KN, bonds=cement, stress=stress, **law)
+    np.testing.assert_allclose(state.wall_stress, np.array([12, 12, 10, 10]) * 1e6, rtol=1e-3)
+    assert float(state.unbalanced_ratio) <= 1e-3
+    with pytest.raises(ModelError, match=r"fewer than three grains|came to no peak"):
+        to_failure(few_packed._replace(packing_pressure=np.array(0.0)), cement)
+
+
+@pytest.mark.parametrize("field", ["vx", "spin", "load_y", "x"])
+def test_grains_that_run_away_are_told_at_once(rock, field: str) -> None:
+    specimen = specimen_of(rock, KN, 2.5, 0.5, None)
+    grain = rock.contact_a[len(rock.contact_a) // 2]
+    getattr(specimen.grains, field)[grain] = np.nan
+    for damping in (0.5, FIRE):
+        with pytest.raises(ModelError, match="ran away.*try"):
+            specimen.relax(hydrostatic(2e-4), NEVER, damping=damping, steps=1000)
+    assert specimen.steps <= 2
 
 
 def test_a_specimen_pulled_too_far_comes_apart_at_a_load(rock) -> None:
     found = to_failure(rock, bonds(50e6), kind="tension")
     peak = float(found.peak_strength)
-    assert 5e6 < peak < 50e6
+    assert 0.35 * 50e6 < peak < 0.5 * 50e6
     assert found.axial_stress[-1] <= 0.7 * peak
     assert int(found.crack_count) > 10
     with pytest.raises(SceneError, match="not above 0"):
@@ -128,6 +204,13 @@ def test_a_servo_that_overshoots_for_ever_is_told(rock) -> None:
         servo = calm._replace(gain=gain, limit=1e-3)
         assert specimen.relax(servo, stop, damping=0.5, steps=50_000) == end
         assert specimen.steps < 1000
+    driven = specimen_of(rock, KN, 2.5, 0.5, None)  # in y; the servo of x is watched on
+    servo = calm._replace(gain=4.0, limit=1e-3, drive_y=-1e-9)
+    ends = [driven.relax(servo, NEVER, damping=0.5, steps=5) for _ in range(200)]
+    assert ends.index(OSCILLATES) > 1
+    assert set(ends[ends.index(OSCILLATES) :]) == {OSCILLATES}
+    held = servo._replace(gain=0.05)
+    assert driven.relax(held, NEVER, damping=0.5, steps=1000) == OUT_OF_STEPS
     stiff = bonds(1e15, modulus=200 * KN)
     with pytest.raises(
         ModelError, match=r"servo oscillates .* without decay.*try a bonds\.modulus"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.mechanics import static
+from model.mechanics import static, wall_contacts
 from model.mechanics.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TENSION, INTACT, install
 from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import Specimen, Stop
+from model.mechanics.equilibrium import NEVER, Specimen
 from model.mechanics.grains import at_rest
 from model.mechanics.held import HeldTrial
 from model.mechanics.neighbours import Pairs
@@ -16,6 +16,7 @@ from model.mechanics.rock import cemented, scaled, specimen_of
 from model.mechanics.servo import STANDING
 from model.mechanics.stress import load, unit_loads
 from model.mechanics.trial import TrueTrial
+from model.outcome import ModelError
 from model.products import StressState, UnitLoads
 from model.scene import Bonds, Stress
 from tests.mechanics.rocks import net_forces, packed
@@ -142,7 +143,7 @@ def test_cement_across_a_gap_bears_nothing_at_first_and_then_as_a_contact(way: f
     specimen = bridge(tensile_strength=np.ones(1), shear_strength=np.ones(1))
     for shift in (0.0, way):
         specimen.grains.x[1] = 1.05 + shift
-        specimen.relax(STANDING, Stop(ratio=0.0, stress=-1.0), damping=0.0, steps=0)
+        specimen.relax(STANDING, NEVER, damping=0.0, steps=0)
         assert specimen.grains.fx[1] == pytest.approx(-shift, abs=1e-15)
 
 
@@ -157,9 +158,30 @@ def test_cement_across_a_gap_breaks_at_its_strengths(slide, mode) -> None:
         )
         grains = specimen.grains
         grains.vx[1], grains.vy[1] = 1e-3 * np.array(slide) / specimen.dt
-        specimen.relax(STANDING, Stop(ratio=0.0, stress=-1.0), damping=0.0, steps=1000)
+        specimen.relax(STANDING, NEVER, damping=0.0, steps=1000)
         grains.vx[:] = grains.vy[:] = 0.0
         assert specimen.bonds.state[0] == state
         if state != INTACT:  # what does not touch bears nothing
-            specimen.relax(STANDING, Stop(ratio=0.0, stress=-1.0), damping=0.0, steps=1)
+            specimen.relax(STANDING, NEVER, damping=0.0, steps=1)
             assert grains.fx[1] == grains.fy[1] == 0.0
+
+
+def test_iterations_that_meet_their_bound_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    units = responses(PARALLEL)
+    assert float(units.base_ratio) <= static.BASE_TOLERANCE
+    held, _ = trials(PARALLEL, units)
+    elastic, wanted = static.Elastic(units, held), np.array([1e-3, 2e-4, 0.0])
+    elastic.superposed(wanted, 0.0)
+    assert elastic.walls.settled
+    assert elastic.doubts() == ""
+    monkeypatch.setattr(wall_contacts, "MOST_CHANGES", 1)
+    elastic.superposed(wanted, 0.0)
+    assert not elastic.walls.settled
+    assert "contacts with the walls open and close" in elastic.doubts()
+    monkeypatch.setattr(static, "BASE_CORRECTIONS", 0)
+    rough = responses(PARALLEL)
+    assert float(rough.base_ratio) > static.BASE_TOLERANCE
+    monkeypatch.setattr(static, "MOST_CORRECTIONS", 0)
+    monkeypatch.setattr(static, "MOST_HELD", 0)
+    with pytest.raises(ModelError, match=r"packed state .* has an unbalance of .* left"):
+        loaded(rough, PARALLEL, 40.0, 8.0, method="static", tolerance=1e-8)

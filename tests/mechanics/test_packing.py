@@ -6,10 +6,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from model.mechanics import compaction
 from model.mechanics.measures import packing_quality, porosity
 from model.mechanics.packing import pack
 from model.mechanics.sizes import draw_radii, sizes_of
-from model.mechanics.targets import PRESSURE, find_pressure
+from model.mechanics.targets import PRESSURE, by_porosity, find_pressure
 from model.outcome import ModelError
 from model.products import Packing
 from model.region import Polygon, Rectangle, bounding_box, contains
@@ -280,3 +281,15 @@ def test_quality_of_a_packing_is_as_counted_by_hand() -> None:
     assert found["floater_fraction"] == np.count_nonzero(counts < 2) / n
     overlap = (rock.radius[a] + rock.radius[b] - gap[a, b]).max()
     assert found["largest_overlap"] == pytest.approx(overlap / rock.radius.mean())
+
+
+def test_phases_that_meet_their_bound_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Easing has one by its recipe; grains that were not parted or compacted are not at rest."""
+    law, size = sizes_of("uniform", 1.66, None, None), np.array([30.0, 30.0])
+    recipe = by_porosity(0.165, 2e-4)
+    assert compaction.attempt(recipe, 0.165, size, law, [1, 0]).rested
+    monkeypatch.setattr(compaction, "COMPACTING", 20)
+    assert not compaction.attempt(recipe, 0.165, size, law, [1, 0]).rested
+    monkeypatch.setattr(compaction, "PARTING", 20)
+    with pytest.raises(ModelError, match=r"did not part in 20 steps.*try another grains\.seed"):
+        compaction.attempt(recipe, 0.165, size, law, [1, 0])
