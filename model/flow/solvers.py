@@ -36,7 +36,12 @@ from model.scene import LEAST_TOLERANCE, Probe
 
 
 class FlowSolver(NamedTuple):
-    """A way to answer a `Problem`, and what it can do."""
+    """A way to answer a `Problem`, and what it can do.
+
+    What all of them can do is no field: they take wells at a rate and at a constant pressure,
+    and conductances that stay as they are, so that flow is linear and any schedule of rates is
+    a sum of shifted unit responses. The steady state has no times, hence no schedule.
+    """
 
     run: Callable[[Problem], Answer]
     forecast: Callable[[Problem, Course], Forecast]  # its time at the wanted accuracy
