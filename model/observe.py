@@ -1,134 +1,119 @@
-"""From responses to what a study asks for (the *observe* stage): scale, shift and sum."""
+"""What a study asks of one case (the *observe* stage), from the products of the other stages."""
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
-from model.flow.sites import WellSite, change_times, time_since
-from model.products import Responses
-from model.scene import InitialField, Scene, Well
+from model.controls import Controls, sites, started, step_sizes, superpose
+from model.flow.errors import time_error
+from model.flow.sites import change_times, time_since
+from model.products import (
+    Apertures,
+    Network,
+    Packing,
+    Permeability,
+    Responses,
+    StrengthTest,
+    StressState,
+)
+from model.region import Region, contains
+from model.scene import MEASURED_BY_A_TEST
 from model.transient import bourdet_derivative, flow_periods, pressure_change
 
-
-class Controls(NamedTuple):
-    """How much: the part of a scene that scales responses, in the order of the sources."""
-
-    reference: float  # Pa, the pressure from which changes count
-    initial: float  # Pa, of pores that no source reaches; NaN where none is one for all
-    side_pressures: tuple[float, ...]  # Pa, of the sides at fixed pressure
-    wells: tuple[Well, ...]
-    times: tuple[float, ...]  # s
-    transient: bool
-    start: str = "uniform"  # or gradient, steady: see `model.flow.solvers.flow`
-    gradient: tuple[float, float] = (0.0, 0.0)  # Pa/m, of a start from a gradient
-
-    @property
-    def fixed_pressures(self) -> tuple[float, ...]:
-        """Pressures of the sides and wells that keep one, in the order of the sources, Pa."""
-        return (*self.side_pressures, *(w.pressure for w in self.wells if w.pressure is not None))
-
-    @property
-    def initial_weights(self) -> tuple[float, ...]:
-        """How much of each unit initial field the start holds."""
-        if self.start == "gradient":
-            return self.gradient
-        if self.start == "steady":
-            return tuple(p - self.reference for p in self.fixed_pressures)
-        return ()
+CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
 
 
-def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
-    """What the flow stage may know of the wells: all but how much they produce."""
-    return tuple(
-        WellSite(
-            name=w.name,
-            at=w.at,
-            radius=w.effective_radius,
-            fixed_pressure=w.pressure is not None,
-            change_times=tuple(t for t, _ in w.rate_changes),
-            skin=max(w.skin_factor, 0.0),
-            storage=w.wellbore_storage,
-        )
-        for w in wells
-    )
+def observe(
+    packing: Packing,
+    stress: StressState | None,
+    tested: StrengthTest | None,
+    network: Network | None,
+    apertures: Apertures | None,
+    permeability: Permeability | None,
+    responses: Responses | None,
+    reference: Responses | None,
+    *,
+    region: Region,
+    told: Controls,
+    wanted: tuple[str, ...],
+) -> dict[str, np.ndarray]:
+    """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
+    from model.mechanics.measures import packing_quality
 
-
-def controls(scene: Scene) -> Controls:
-    """The controls of a scene."""
-    transient = scene.method != "steady"
-    uniform = scene.uniform_pressure
-    field = scene.initial_pressure
-    held = [p for _, p in scene.boundaries]
-    held += [w.pressure for w in scene.wells if w.pressure is not None]
-    reference = held[0] if held else 0.0
-    gradient = (0.0, 0.0)
-    if transient and uniform is not None:
-        reference = uniform
-    elif transient and isinstance(field, InitialField):
-        reference, gradient = field.at_origin, field.gradient
-    return Controls(
-        reference,
-        math.nan if uniform is None else uniform,
-        tuple(p for _, p in scene.boundaries),
-        scene.wells,
-        scene.times if transient else (),
-        transient,
-        scene.start,
-        gradient,
-    )
-
-
-def active_sources(scene: Scene) -> tuple[bool, ...]:
-    """Which sources act at all, in their order, as `model.flow.solvers.flow` takes them."""
-    told = controls(scene)
-    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in told.wells if w.pressure is None]
-    fields = [g != 0.0 for g in told.gradient] if told.start == "gradient" else []
-    return (*(p != told.reference for p in told.fixed_pressures), *rates, *fields)
-
-
-def step_sizes(told: Controls) -> list[list[tuple[float, float]]]:
-    """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
-    steps = [[(0.0, pressure - told.reference)] for pressure in told.fixed_pressures]
-    if told.start == "steady":  # they have acted for ever
-        steps = [[] for _ in steps]
-    for well in told.wells:
-        if well.pressure is None:
-            rates = [0.0, *(q for _, q in well.rate_changes)]
-            steps.append(
-                [(t, new - old) for (t, new), old in zip(well.rate_changes, rates, strict=False)]
+    grains = contains(region, np.column_stack([packing.x, packing.y]))
+    found = {
+        "porosity": packing.porosity,
+        **packing_quality(packing),
+        "grain_count": np.asarray(np.count_nonzero(grains)),
+        "floaters": packing.floaters,
+    }
+    if network is not None and apertures is not None:
+        found |= {
+            "porosity": network.porosity,
+            "matrix_aperture": apertures.matrix_aperture,
+            "domain_count": np.asarray(np.count_nonzero(network.inside)),
+            "floaters": network.floaters,
+            "slivers": network.slivers,
+            "smallest_pore": _smallest(apertures.volume[network.inside]),
+            "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
+            "parted_pipes": _parted(network, stress),
+        }
+    if tested is not None:
+        found |= {name: getattr(tested, name) for name in MEASURED_BY_A_TEST if name in wanted}
+        found |= {name: getattr(tested, name) for name in CONFINEMENT}
+    if stress is not None:
+        found["stress_achieved"] = stress.stress
+        found["unbalanced_ratio"] = stress.unbalanced_ratio
+        found["broken_bonds"] = stress.broken_bonds
+        found["static_solver"] = stress.static
+        found["mechanical_steps"] = stress.steps
+        found["tension_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 1))
+        found["shear_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 2))
+        found["joint_contacts"] = np.asarray(np.count_nonzero(~np.isnan(stress.joint_gap)))
+        found["idle_joints"] = stress.idle_joints
+    if permeability is not None:
+        found["permeability"] = permeability.tensor
+    if responses is not None:
+        found |= observe_flow(responses, told)
+        for name, needs in (
+            ("well_pressure", ("well_pressure", "well_rate")),
+            ("well_pressure", ("pressure_change", "pressure_derivative")),
+            ("boundary_flow", ("boundary_flow",)),
+            ("probe_pressure", ("probe_pressure",)),
+        ):
+            if name not in wanted:
+                for key in needs:
+                    found.pop(key, None)
+    if responses is not None and reference is not None:
+        found["reference_error"] = reference.time_error
+        held = sum(well.pressure is not None for well in told.wells)
+        found["time_error"] = np.asarray(
+            time_error(
+                responses,
+                reference,
+                fixed=len(told.side_pressures) + held,
+                wells=len(told.wells) - held,
+                flows="boundary_flow" in wanted or held > 0,
             )
-    return steps
+        )
+    return {name: np.asarray(value) for name, value in found.items()}
 
 
-def superpose(
-    responses: np.ndarray, lag: np.ndarray, steps: list[list[tuple[float, float]]], at: np.ndarray
-) -> np.ndarray:
-    """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
-
-    A step acts after its time, not at it. At infinity (a steady study) every step acts.
-    """
-    total = np.zeros((len(at), *responses.shape[2:]))
-    for source, changes in enumerate(steps):
-        for time, size in changes:
-            if size == 0.0:
-                continue
-            since = time_since(time, at) if math.isfinite(at[0]) else at
-            acts = since > 0.0
-            total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
-    return total
+def _smallest(volume: np.ndarray) -> np.ndarray:
+    """The smallest of some volumes over their mean."""
+    return np.asarray(volume.min() / volume.mean())
 
 
-def started(
-    fields: np.ndarray, lag: np.ndarray, weights: tuple[float, ...], at: np.ndarray
-) -> np.ndarray | float:
-    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …)."""
-    total: np.ndarray | float = 0.0
-    for field, weight in zip(fields, weights, strict=True):
-        total = total + weight * (field if len(field) == 1 else field[np.searchsorted(lag, at)])
-    return total
+def _parted(network: Network, stress: StressState | None) -> np.ndarray:
+    """Number of pipes of the region whose grains have parted under the stress."""
+    if stress is None:
+        return np.asarray(0)
+    from model.network.apertures import pipe_gaps
+
+    inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
+    return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
 
 
 def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:

@@ -17,15 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
-from model.observe import (
-    Controls,
-    active_sources,
-    controls,
-    observe_flow,
-    pressure_map,
-    sites,
-)
+from model.controls import active_sources, controls, sites
+from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from model.products import (
     Apertures,
     Network,
@@ -36,9 +29,7 @@ from model.products import (
     StressState,
     UnitLoads,
 )
-from model.quantities import MAPS, TESTS
-from model.region import Region, contains
-from model.scene import MEASURED_BY_A_TEST, Bonds, Scene, joint_lines
+from model.scene import Bonds, Scene, joint_lines
 
 if TYPE_CHECKING:
     from model.flow.solvers import flow
@@ -48,11 +39,11 @@ if TYPE_CHECKING:
     from model.mechanics.stress import unit_loads
     from model.network.apertures import open_pipes as open
     from model.network.domains import network
+    from model.observe import observe
 
 __all__ = [
     "STAGES",
     "Stage",
-    "case_maps",
     "flow",
     "network",
     "observe",
@@ -63,9 +54,6 @@ __all__ = [
     "stress",
     "unit_loads",
 ]
-
-
-CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
 
 
 @dataclass(frozen=True)
@@ -93,97 +81,6 @@ def __getattr__(name: str) -> Any:
         if stage.name == name:
             return stage.run
     raise AttributeError(f"module 'model.stages' has no attribute {name!r}")
-
-
-def observe(
-    packing: Packing,
-    stress: StressState | None,
-    tested: StrengthTest | None,
-    network: Network | None,
-    apertures: Apertures | None,
-    permeability: Permeability | None,
-    responses: Responses | None,
-    reference: Responses | None,
-    *,
-    region: Region,
-    told: Controls,
-    wanted: tuple[str, ...],
-) -> dict[str, np.ndarray]:
-    """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
-    from model.mechanics.measures import packing_quality
-
-    grains = contains(region, np.column_stack([packing.x, packing.y]))
-    found = {
-        "porosity": packing.porosity,
-        **packing_quality(packing),
-        "grain_count": np.asarray(np.count_nonzero(grains)),
-        "floaters": packing.floaters,
-    }
-    if network is not None and apertures is not None:
-        found |= {
-            "porosity": network.porosity,
-            "matrix_aperture": apertures.matrix_aperture,
-            "domain_count": np.asarray(np.count_nonzero(network.inside)),
-            "floaters": network.floaters,
-            "slivers": network.slivers,
-            "smallest_pore": _smallest(apertures.volume[network.inside]),
-            "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
-            "parted_pipes": _parted(network, stress),
-        }
-    if tested is not None:
-        found |= {name: getattr(tested, name) for name in MEASURED_BY_A_TEST if name in wanted}
-        found |= {name: getattr(tested, name) for name in CONFINEMENT}
-    if stress is not None:
-        found["stress_achieved"] = stress.stress
-        found["unbalanced_ratio"] = stress.unbalanced_ratio
-        found["broken_bonds"] = stress.broken_bonds
-        found["static_solver"] = stress.static
-        found["mechanical_steps"] = stress.steps
-        found["tension_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 1))
-        found["shear_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 2))
-        found["joint_contacts"] = np.asarray(np.count_nonzero(~np.isnan(stress.joint_gap)))
-        found["idle_joints"] = stress.idle_joints
-    if permeability is not None:
-        found["permeability"] = permeability.tensor
-    if responses is not None:
-        found |= observe_flow(responses, told)
-        for name, needs in (
-            ("well_pressure", ("well_pressure", "well_rate")),
-            ("well_pressure", ("pressure_change", "pressure_derivative")),
-            ("boundary_flow", ("boundary_flow",)),
-            ("probe_pressure", ("probe_pressure",)),
-        ):
-            if name not in wanted:
-                for key in needs:
-                    found.pop(key, None)
-    if responses is not None and reference is not None:
-        found["reference_error"] = reference.time_error
-        held = sum(well.pressure is not None for well in told.wells)
-        found["time_error"] = np.asarray(
-            time_error(
-                responses,
-                reference,
-                fixed=len(told.side_pressures) + held,
-                wells=len(told.wells) - held,
-                flows="boundary_flow" in wanted or held > 0,
-            )
-        )
-    return {name: np.asarray(value) for name, value in found.items()}
-
-
-def _smallest(volume: np.ndarray) -> np.ndarray:
-    """The smallest of some volumes over their mean."""
-    return np.asarray(volume.min() / volume.mean())
-
-
-def _parted(network: Network, stress: StressState | None) -> np.ndarray:
-    """Number of pipes of the region whose grains have parted under the stress."""
-    if stress is None:
-        return np.asarray(0)
-    from model.network.apertures import pipe_gaps
-
-    inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
-    return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
 
 
 def _needs_permeability(scene: Scene) -> bool:
@@ -373,7 +270,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="observe",
-        function="model.stages:observe",
+        function="model.observe:observe",
         version=5,
         parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={
@@ -405,79 +302,3 @@ def simulate(scene: Scene) -> dict[str, np.ndarray]:
     its result.
     """
     return run_stages(scene)["observe"]
-
-
-def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Fields of one case under their names in `model.quantities.MAPS`, with its polygons.
-
-    `products` are those of `run_stages`. Domains are those inside the region, pipes those
-    with an end among them. `mesh_node_x`, `mesh_node_y` are the corners of the domains'
-    polygons and `mesh_face_nodes` (domain, most corners) their indices, −1 where a domain
-    has fewer. A test to failure adds its curves and cracks, `model.quantities.TESTS`.
-    """
-    tested = {name: getattr(products["strength"], name) for name in TESTS} if scene.tests else {}
-    return tested | _pore_maps(scene, products) if scene.porous else tested
-
-
-def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Pores, pipes and grains of a case."""
-    net: Network = products["network"]
-    opened: Apertures = products["open"]
-    domain = np.flatnonzero(net.inside)
-    number = np.full(len(net.x), -1)
-    number[domain] = np.arange(len(domain))
-    pipe = np.flatnonzero(net.inside[net.pipe_from] | net.inside[net.pipe_to])
-    swap = ~net.inside[net.pipe_from[pipe]]
-    start = np.where(swap, net.pipe_to[pipe], net.pipe_from[pipe])
-    end = np.where(swap, net.pipe_from[pipe], net.pipe_to[pipe])
-    trace = opened.on_fracture[pipe]
-    fracture = np.full(len(pipe), -1)
-    fracture[trace >= 0] = opened.trace_fracture[trace[trace >= 0]]
-    maps = {
-        "x": net.x[domain],
-        "y": net.y[domain],
-        "volume": opened.volume[domain],
-        "aperture": opened.aperture[pipe],
-        "conductance": opened.conductance[pipe],
-        "from_domain": number[start],
-        "to_domain": number[end],
-        "on_fracture": fracture,
-        **_mesh(net, domain),
-    }
-    if "pressure_map" in scene.observe:
-        told = controls(scene)
-        pressure = pressure_map(products["flow"], told)
-        maps["pressure"] = pressure if told.transient else pressure[0]
-    if "grain_map" in scene.observe:
-        state: StressState | None = products.get("stress")
-        packing: Packing = products["pack"]
-        held = state if state is not None else packing
-        stiffness = 1.0 if state is not None else (scene.grains.contact_stiffness or np.nan)
-        maps |= {
-            "grain_x": held.x,
-            "grain_y": held.y,
-            "radius": packing.radius,
-            "normal_force": held.normal_force * stiffness,
-            "shear_force": held.shear_force * stiffness,
-            "grain_a": held.contact_a,
-            "grain_b": held.contact_b,
-        }
-        if state is not None:
-            maps |= {name: getattr(state, name) for name in MAPS if name.startswith("crack_")}
-    return maps
-
-
-def _mesh(net: Network, domain: np.ndarray) -> dict[str, np.ndarray]:
-    """The polygons of some domains: their corners, and the corners of each, padded with −1."""
-    corners = np.diff(net.corner_start)[domain]
-    faces = np.full((len(domain), corners.max()), -1)
-    filled = np.arange(faces.shape[1]) < corners[:, None]
-    first = np.repeat(net.corner_start[:-1][domain], corners)
-    within = np.arange(corners.sum()) - np.repeat(np.cumsum(corners) - corners, corners)
-    grains, nodes = np.unique(net.corner_grain[first + within], return_inverse=True)
-    faces[filled] = nodes
-    return {
-        "mesh_node_x": net.grain_x[grains],
-        "mesh_node_y": net.grain_y[grains],
-        "mesh_face_nodes": faces,
-    }

@@ -41,6 +41,6 @@ def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
 
 def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Return the maps of one case, from the products of its stages by their names."""
-    from model.stages import case_maps as of_the_model
+    from model.maps import case_maps as of_the_model
 
     return of_the_model(scene, products)

@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.controls import sites
 from model.flow import elimination
 from model.flow.problem import Answer, Problem
 from model.flow.records import outputs
 from model.flow.solvers import SOLVERS
-from model.observe import sites
 from model.region import Rectangle
 from model.scene import Trace, Well
 from tests.reservoirs import reservoir

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.controls import Controls, sites
 from model.flow.sites import WellSite
 from model.flow.solvers import flow
 from model.flow.system import System, assemble
 from model.network.apertures import open_pipes
 from model.network.domains import network
-from model.observe import Controls, observe_flow, sites
+from model.observe import observe_flow
 from model.products import Apertures, Network, Packing, Permeability, Responses
 from model.region import Region
 from model.scene import Fracture, Matrix, Probe, Well

@@ -19,7 +19,9 @@ MODEL = (
     ("model.mechanics",),
     ("model.network",),
     ("model.flow",),
-    ("model.permeability", "model.observe"),
+    ("model.permeability", "model.controls"),
+    ("model.observe",),
+    ("model.maps",),
     ("model.stages",),
 )
 # The study and its cases are read without the model's machinery; what runs comes after, and
@@ -54,7 +56,7 @@ SWEEP = (
 CONTRACT = ("model.parameters", "model.region", "model.scene", "model.outcome", "model.quantities")
 MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.memory": ("model.memory",),
-    "sweep.stages": ("model.stages",),
+    "sweep.stages": ("model.stages", "model.maps"),
     "sweep.plan": ("model.stages",),
     "sweep.heritage": ("model.stages",),
     "sweep.worker": ("model.stages", "model.memory", "model.compilation"),

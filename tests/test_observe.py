@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from model.controls import Controls, controls, sites, step_sizes, superpose
 from model.flow.explicit import step_limit
-from model.observe import Controls, controls, observe_flow, sites, step_sizes, superpose
+from model.observe import observe_flow
 from model.region import Circle, Rectangle
 from model.scene import Fluid, Grains, Matrix, Probe, Scene, Solver, Well
 from tests.reservoirs import reservoir

@@ -9,6 +9,7 @@ import pytest
 
 import model
 from model import stages
+from model.maps import case_maps
 from model.outcome import ModelError
 from model.quantities import CASE, MAPS, TESTS
 from model.region import Circle, Polygon, Rectangle
@@ -31,7 +32,7 @@ from model.scene import (
     Trace,
     Well,
 )
-from model.stages import STAGES, case_maps, run_stages, simulate
+from model.stages import STAGES, run_stages, simulate
 
 BY_NAME = {stage.name: stage for stage in STAGES}
 OBSERVED = tuple(name for name in OBSERVABLES if name not in MEASURED_BY_A_TEST)

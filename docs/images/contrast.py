@@ -13,10 +13,10 @@ import qdldl
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
+from model.controls import sites
 from model.flow.balance import steady_flow
 from model.flow.factor import analyse, factorise
 from model.flow.system import System
-from model.observe import sites
 from sweep.figures.style import BLACK, BLUE, VERMILION, house_style, new_figure, save
 from tests.benchmarks.contrasts import WELL, cut, pores, reference
 

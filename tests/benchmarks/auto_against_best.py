@@ -18,13 +18,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from model.controls import sites
 from model.flow.choice import course
 from model.flow.errors import time_error
 from model.flow.explicit import step_limit
 from model.flow.problem import Answer, Problem
 from model.flow.records import outputs
 from model.flow.solvers import SOLVERS, lags, solve
-from model.observe import sites
 from model.scene import Well
 from tests.benchmarks.result import Result
 from tests.diffusion import seconds, well_problem

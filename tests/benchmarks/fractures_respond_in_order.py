@@ -10,7 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.stages import case_maps, run_stages
+from model.maps import case_maps
+from model.stages import run_stages
 from sweep.cases import case_at
 from sweep.study import load_study
 from tests.benchmarks.ran import STUDIES

@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
+from model.controls import sites
 from model.flow.solvers import SOLVERS
 from model.flow.system import System, assemble
-from model.observe import sites
 from model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Trace, Well
 from model.stages import run_stages
 from tests.benchmarks.result import Result

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from model.controls import sites, superpose
 from model.flow.problem import Answer, Problem
 from model.flow.solvers import SOLVERS, lags
-from model.observe import sites, superpose
 from model.scene import Well
 from model.transient import flow_periods, pressure_change
 from tests.benchmarks.result import Result

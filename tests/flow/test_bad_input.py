@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from model.controls import sites
 from model.flow.solvers import SOLVERS, flow
-from model.observe import sites
 from model.outcome import ModelError
 from model.region import Rectangle
 from model.scene import Solver, Trace, Well

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from model.controls import sites
 from model.flow.choice import course, euler_error
 from model.flow.errors import time_error
 from model.flow.explicit import step_limit
 from model.flow.records import outputs
 from model.flow.solvers import SOLVERS, choose, solve
-from model.observe import sites
 from model.outcome import ModelError
 from model.region import Rectangle
 from model.scene import Probe, Well

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
+from model.controls import sites
 from model.flow import explicit as explicit_module
 from model.flow.explicit import paper_step, step_limit
 from model.flow.problem import Problem
 from model.flow.records import outputs
 from model.flow.solvers import SOLVERS, lags
 from model.network.apertures import transmissivity
-from model.observe import sites
 from model.outcome import ModelError
 from model.region import Circle, Rectangle
 from model.scene import Probe, Trace, Well

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
+from model.controls import Controls, active_sources, controls, sites
 from model.flow.explicit import step_limit
 from model.flow.initial import STARTS
 from model.flow.solvers import SOLVERS, flow
-from model.observe import Controls, active_sources, controls, observe_flow, pressure_map, sites
+from model.observe import observe_flow, pressure_map
 from model.outcome import ModelError
 from model.region import Circle, Rectangle
 from model.scene import (

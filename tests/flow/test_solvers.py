@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from model.controls import sites
 from model.flow.explicit import step_limit
 from model.flow.solvers import SOLVERS, flow
 from model.network.domains import domains_at
-from model.observe import sites
 from model.outcome import ModelError
 from model.region import Circle, Rectangle
 from model.scene import Probe, Trace, Well

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from model.controls import sites
 from model.flow import stencil as module
 from model.flow.algebraic import algebraic
 from model.flow.explicit import step_limit
 from model.flow.stencil import driven, march, stencil
-from model.observe import sites
 from model.region import Rectangle
 from model.scene import Well
 from tests.reservoirs import dense_matrices, reservoir

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from model.analytic.wellbore import well_with_storage_and_skin
+from model.controls import sites
 from model.flow.explicit import step_limit
 from model.flow.solvers import SOLVERS
-from model.observe import sites
 from model.outcome import ModelError
 from model.permeability import permeability
 from model.region import Circle, Rectangle

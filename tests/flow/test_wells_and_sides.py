@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 
+from model.controls import sites
 from model.flow.solvers import SOLVERS
 from model.flow.wells import WELL_FLOOR
-from model.observe import sites
 from model.outcome import ModelError
 from model.permeability import permeability
 from model.region import Circle, Polygon, Rectangle

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from model.controls import sites
 from model.flow.problem import Problem
 from model.flow.records import outputs
 from model.flow.solvers import SOLVERS
 from model.flow.system import System
-from model.observe import sites
 from model.region import Rectangle
 from model.scene import Trace, Well
 from tests.reservoirs import reservoir

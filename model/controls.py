@@ -1,0 +1,129 @@
+"""How much: the part of a scene that scales unit responses, and how they add up to it."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from model.flow.sites import WellSite, time_since
+from model.scene import InitialField, Scene, Well
+
+
+class Controls(NamedTuple):
+    """How much: the part of a scene that scales responses, in the order of the sources."""
+
+    reference: float  # Pa, the pressure from which changes count
+    initial: float  # Pa, of pores that no source reaches; NaN where none is one for all
+    side_pressures: tuple[float, ...]  # Pa, of the sides at fixed pressure
+    wells: tuple[Well, ...]
+    times: tuple[float, ...]  # s
+    transient: bool
+    start: str = "uniform"  # or gradient, steady: see `model.flow.solvers.flow`
+    gradient: tuple[float, float] = (0.0, 0.0)  # Pa/m, of a start from a gradient
+
+    @property
+    def fixed_pressures(self) -> tuple[float, ...]:
+        """Pressures of the sides and wells that keep one, in the order of the sources, Pa."""
+        return (*self.side_pressures, *(w.pressure for w in self.wells if w.pressure is not None))
+
+    @property
+    def initial_weights(self) -> tuple[float, ...]:
+        """How much of each unit initial field the start holds."""
+        if self.start == "gradient":
+            return self.gradient
+        if self.start == "steady":
+            return tuple(p - self.reference for p in self.fixed_pressures)
+        return ()
+
+
+def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
+    """What the flow stage may know of the wells: all but how much they produce."""
+    return tuple(
+        WellSite(
+            name=w.name,
+            at=w.at,
+            radius=w.effective_radius,
+            fixed_pressure=w.pressure is not None,
+            change_times=tuple(t for t, _ in w.rate_changes),
+            skin=max(w.skin_factor, 0.0),
+            storage=w.wellbore_storage,
+        )
+        for w in wells
+    )
+
+
+def controls(scene: Scene) -> Controls:
+    """The controls of a scene."""
+    transient = scene.method != "steady"
+    uniform = scene.uniform_pressure
+    field = scene.initial_pressure
+    held = [p for _, p in scene.boundaries]
+    held += [w.pressure for w in scene.wells if w.pressure is not None]
+    reference = held[0] if held else 0.0
+    gradient = (0.0, 0.0)
+    if transient and uniform is not None:
+        reference = uniform
+    elif transient and isinstance(field, InitialField):
+        reference, gradient = field.at_origin, field.gradient
+    return Controls(
+        reference,
+        math.nan if uniform is None else uniform,
+        tuple(p for _, p in scene.boundaries),
+        scene.wells,
+        scene.times if transient else (),
+        transient,
+        scene.start,
+        gradient,
+    )
+
+
+def active_sources(scene: Scene) -> tuple[bool, ...]:
+    """Which sources act at all, in their order, as `model.flow.solvers.flow` takes them."""
+    told = controls(scene)
+    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in told.wells if w.pressure is None]
+    fields = [g != 0.0 for g in told.gradient] if told.start == "gradient" else []
+    return (*(p != told.reference for p in told.fixed_pressures), *rates, *fields)
+
+
+def step_sizes(told: Controls) -> list[list[tuple[float, float]]]:
+    """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
+    steps = [[(0.0, pressure - told.reference)] for pressure in told.fixed_pressures]
+    if told.start == "steady":  # they have acted for ever
+        steps = [[] for _ in steps]
+    for well in told.wells:
+        if well.pressure is None:
+            rates = [0.0, *(q for _, q in well.rate_changes)]
+            steps.append(
+                [(t, new - old) for (t, new), old in zip(well.rate_changes, rates, strict=False)]
+            )
+    return steps
+
+
+def superpose(
+    responses: np.ndarray, lag: np.ndarray, steps: list[list[tuple[float, float]]], at: np.ndarray
+) -> np.ndarray:
+    """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
+
+    A step acts after its time, not at it. At infinity (a steady study) every step acts.
+    """
+    total = np.zeros((len(at), *responses.shape[2:]))
+    for source, changes in enumerate(steps):
+        for time, size in changes:
+            if size == 0.0:
+                continue
+            since = time_since(time, at) if math.isfinite(at[0]) else at
+            acts = since > 0.0
+            total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
+    return total
+
+
+def started(
+    fields: np.ndarray, lag: np.ndarray, weights: tuple[float, ...], at: np.ndarray
+) -> np.ndarray | float:
+    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …)."""
+    total: np.ndarray | float = 0.0
+    for field, weight in zip(fields, weights, strict=True):
+        total = total + weight * (field if len(field) == 1 else field[np.searchsorted(lag, at)])
+    return total

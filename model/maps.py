@@ -1,0 +1,90 @@
+"""Fields of one case: pores, pipes, grains, and what a test to failure recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from model.controls import controls
+from model.observe import pressure_map
+from model.products import Apertures, Network, Packing, StressState
+from model.quantities import MAPS, TESTS
+from model.scene import Scene
+
+
+def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Fields of one case under their names in `model.quantities.MAPS`, with its polygons.
+
+    `products` are those of `run_stages`. Domains are those inside the region, pipes those
+    with an end among them. `mesh_node_x`, `mesh_node_y` are the corners of the domains'
+    polygons and `mesh_face_nodes` (domain, most corners) their indices, −1 where a domain
+    has fewer. A test to failure adds its curves and cracks, `model.quantities.TESTS`.
+    """
+    tested = {name: getattr(products["strength"], name) for name in TESTS} if scene.tests else {}
+    return tested | _pore_maps(scene, products) if scene.porous else tested
+
+
+def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Pores, pipes and grains of a case."""
+    net: Network = products["network"]
+    opened: Apertures = products["open"]
+    domain = np.flatnonzero(net.inside)
+    number = np.full(len(net.x), -1)
+    number[domain] = np.arange(len(domain))
+    pipe = np.flatnonzero(net.inside[net.pipe_from] | net.inside[net.pipe_to])
+    swap = ~net.inside[net.pipe_from[pipe]]
+    start = np.where(swap, net.pipe_to[pipe], net.pipe_from[pipe])
+    end = np.where(swap, net.pipe_from[pipe], net.pipe_to[pipe])
+    trace = opened.on_fracture[pipe]
+    fracture = np.full(len(pipe), -1)
+    fracture[trace >= 0] = opened.trace_fracture[trace[trace >= 0]]
+    maps = {
+        "x": net.x[domain],
+        "y": net.y[domain],
+        "volume": opened.volume[domain],
+        "aperture": opened.aperture[pipe],
+        "conductance": opened.conductance[pipe],
+        "from_domain": number[start],
+        "to_domain": number[end],
+        "on_fracture": fracture,
+        **_mesh(net, domain),
+    }
+    if "pressure_map" in scene.observe:
+        told = controls(scene)
+        pressure = pressure_map(products["flow"], told)
+        maps["pressure"] = pressure if told.transient else pressure[0]
+    if "grain_map" in scene.observe:
+        state: StressState | None = products.get("stress")
+        packing: Packing = products["pack"]
+        held = state if state is not None else packing
+        stiffness = 1.0 if state is not None else (scene.grains.contact_stiffness or np.nan)
+        maps |= {
+            "grain_x": held.x,
+            "grain_y": held.y,
+            "radius": packing.radius,
+            "normal_force": held.normal_force * stiffness,
+            "shear_force": held.shear_force * stiffness,
+            "grain_a": held.contact_a,
+            "grain_b": held.contact_b,
+        }
+        if state is not None:
+            maps |= {name: getattr(state, name) for name in MAPS if name.startswith("crack_")}
+    return maps
+
+
+def _mesh(net: Network, domain: np.ndarray) -> dict[str, np.ndarray]:
+    """The polygons of some domains: their corners, and the corners of each, padded with −1."""
+    corners = np.diff(net.corner_start)[domain]
+    faces = np.full((len(domain), corners.max()), -1)
+    filled = np.arange(faces.shape[1]) < corners[:, None]
+    first = np.repeat(net.corner_start[:-1][domain], corners)
+    within = np.arange(corners.sum()) - np.repeat(np.cumsum(corners) - corners, corners)
+    grains, nodes = np.unique(net.corner_grain[first + within], return_inverse=True)
+    faces[filled] = nodes
+    return {
+        "mesh_node_x": net.grain_x[grains],
+        "mesh_node_y": net.grain_y[grains],
+        "mesh_face_nodes": faces,
+    }
