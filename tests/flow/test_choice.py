@@ -128,7 +128,7 @@ def test_an_answer_that_is_looked_at_keeps_the_tolerance(at, seed):
                 active=np.arange(2) == source, lag=limit * np.geomspace(first, 10.0 * first, 21)
             )
             exact = SOLVERS["krylov"].run(asked._replace(tolerance=1e-11))
-            for tolerance in (1e-2, 1e-4, 1e-7):
+            for tolerance in (1e-2, 1e-4):
                 problem = asked._replace(tolerance=tolerance)
                 forecast = SOLVERS["explicit"].forecast(problem, course(problem))
                 put = problem._replace(safety_factor=forecast.safety_factor)
@@ -145,7 +145,7 @@ def test_maps_and_probes_that_are_looked_at_keep_the_tolerance(seed):
         for first in (3.0, 30.0):
             asked = plain._replace(lag=limit * np.geomspace(first, 10.0 * first, 21), **recorded)
             exact = SOLVERS["krylov"].run(asked._replace(tolerance=1e-11))
-            for tolerance in (1e-2, 1e-4, 1e-7):
+            for tolerance in (1e-2, 1e-4):
                 problem = asked._replace(tolerance=tolerance)
                 forecast = SOLVERS["explicit"].forecast(problem, course(problem))
                 put = problem._replace(safety_factor=forecast.safety_factor)
