@@ -24,7 +24,7 @@ from sweep.versions import machine
 
 GROWTH = 1.0  # exponent of a stage that was seen at one size only: as the size
 DOUBT = 0.05  # weight of that exponent beside the spread of the sizes that were seen
-STEEPEST = 3.0
+STEEPEST = 1.5  # exponent of a planar graph's factor; no stage grows faster
 OUTLIERS = 3  # runs from which the slowest, which loads the compiled code, does not count
 
 
@@ -139,12 +139,14 @@ class Costs:
         """Expected memory of a worker after a run, bytes; None if its stage was never run.
 
         What a process holds before it does anything does not grow with the case: as much as
-        the smallest that was seen.
+        the smallest that was seen. Nor does what a compiler takes: workers that have compiled
+        count as they are, and only where no other ran the stage.
         """
-        peaks = {step: spent.peak for step, spent in self._sizes(kind).items() if spent.peak}
+        sizes = self._sizes(kind)
+        peaks = {step: spent.memory for step, spent in sizes.items() if spent.memory}
         if not peaks:
-            return None
-        least = min(s.peak for sizes in self.known.values() for s in sizes.values() if s.peak)
+            return max((spent.bound for spent in sizes.values()), default=0) or None
+        least = min(s.memory for known in self.known.values() for s in known.values() if s.memory)
         near = _nearest(peaks, kind.step)
         growth = math.exp(SIZE_STEP * (kind.step - near))
         return least + (peaks[near] - least) * growth
@@ -164,9 +166,12 @@ def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float
     """
     if not values:
         return None
+    if step in values:
+        return values[step]
+    # few runs are mostly the loading of compiled code, which does not grow with the size
+    often = {size: value for size, value in values.items() if seen[size].runs >= OUTLIERS}
+    values = often or values
     near = _nearest(values, step)
-    if near == step:
-        return values[near]
     return values[near] * math.exp(exponent(values, seen) * SIZE_STEP * (step - near))
 
 
