@@ -172,7 +172,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="model.mechanics.stress:load",
-        version=8,
+        version=9,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

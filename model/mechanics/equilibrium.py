@@ -71,8 +71,8 @@ class Stop(NamedTuple):
     strain: float = np.inf  # of the box since the run began, in x or y, at which to give up
 
 
-START = Stop(ratio=1e-4, stress=1e-4)  # of a path
-START_STEPS = 300  # at most, to come to rest there
+CALMEST = 1e-4  # unbalance, over the contact force, below which paths do not gain by more calm
+START_STEPS = 300  # at most, to come to rest so far at the start of a path
 NEVER = Stop(ratio=0.0, stress=-1.0)  # no error is negative: all steps are taken
 
 
@@ -150,7 +150,7 @@ def advance(
         mean = sums.force / max(sums.contacts, 1)
         if progress < 1.0:
             if error < servo.band:
-                off = sums.unbalanced / max(mean, 1e-300)
+                off = sums.unbalanced / max(max(stop.ratio, CALMEST) * mean, 1e-300)
                 progress = min(1.0, progress + advanced(servo, wanted_xx, wanted_yy, off))
         elif error <= stop.stress and (sums.unbalanced <= stop.ratio * mean or mean < stop.force):
             end = AT_REST
@@ -336,7 +336,8 @@ class Specimen(Assembly):
         first = self.steps
         hold = servo._replace(target_xx=servo.start_xx, target_yy=servo.start_yy, pace=np.inf)
         how = FIRE if self.ledger is None else damping
-        self.relax(hold, START, damping=how, steps=min(START_STEPS, steps))
+        rest = Stop(ratio=CALMEST, stress=CALMEST)
+        self.relax(hold, rest, damping=how, steps=min(START_STEPS, steps))
         if self.ledger is None:
             self.stand_still()
         return self.steps - first

@@ -25,7 +25,7 @@ class Servo(NamedTuple):
     target_yy: float
     pace: float = np.inf  # part of the path covered by one step, over √(smaller stress)
     band: float = np.inf  # relative lag of the stresses behind the path at which it waits
-    calm: float = np.inf  # mean unbalanced over mean contact force at which it goes half as fast
+    calm: float = np.inf  # unbalance, over what the run allows at its end, that halves the pace
     gain: float = 0.05  # part of the error in the mean stress that one step corrects; 0: no servo
     wall_gain: float = 0.3  # part of the error in each wall's force that one step corrects
     modulus: float = 0.5  # stress per strain that the gain assumes, in units of k_n
@@ -60,7 +60,7 @@ def setpoint(servo: Servo, progress: float) -> tuple[float, float]:
 def advanced(servo: Servo, wanted_xx: float, wanted_yy: float, ratio: float) -> float:
     """Part of the path that one step covers: less, the further from equilibrium.
 
-    `ratio` is the mean unbalanced over the mean contact force.
+    `ratio` is the mean unbalanced force over what the run allows at its end.
     """
     return servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + ratio / servo.calm)
 

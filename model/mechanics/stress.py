@@ -8,13 +8,15 @@ Path: bonds are installed on the contacts of the packed state, then the stresses
 move on a straight line from those of the packed state (equal on all walls; LEAST_START of the
 target in a lattice, which starts without force) to the target. Grains first come to rest at the
 start of the path. Its inertial number I = ε̇ √(m/p) is INERTIAL_NUMBER, less the further grains
-are from equilibrium (CALM), and the path waits while the stresses lag behind by more than BAND.
-So the state depends on this path, and little on the dynamics that follow it: damping, gain or
-half the increments change the forces of unbonded packings (5,000 grains, 3.86 to 3.90 contacts a
-grain, friction 0.5) by up to 0.2 % (L2) at 1.5:1 and 0.6 % at 1.9:1, where the strength is near
-2.4:1; one of five further packings differed by 0.7 %. At 3.80 contacts a grain and 1.9:1 the
-forces are less unique: they differ by up to 1.4 %, by noise of 1e-8 radii alone by up to 0.7 %.
-What is left comes from small groups of grains that snap; slower paths do not lessen it.
+are from the equilibrium that is asked for (CALM), and the path waits while the stresses lag
+behind by more than BAND.
+So the state depends on this path, and little on the dynamics that follow it: at a tolerance of
+1e-4, damping, gain or half the increments change the forces of unbonded packings (5,000 grains,
+3.86 to 3.90 contacts a grain, friction 0.5) by up to 0.2 % (L2) at 1.5:1 and 0.6 % at 1.9:1,
+where the strength is near 2.4:1; one of five further packings differed by 0.7 %. At 3.80
+contacts a grain and 1.9:1 the forces are less unique: they differ by up to 1.4 %, by noise of
+1e-8 radii alone by up to 0.7 %. What is left comes from small groups of grains that snap;
+slower paths do not lessen it.
 
 Units inside are the mean radius, k_n and the mass of a grain; stresses are σ / k_n.
 """
@@ -37,7 +39,7 @@ from model.products import Packing, StressState, UnitLoads
 from model.scene import Bonds, JointLine, Stress
 
 INERTIAL_NUMBER = 5e-5
-CALM = 1e-4  # mean unbalanced over mean contact force at which a path goes half as fast
+CALM = 1.0  # unbalance, over what a run allows at its end, at which its path goes half as fast
 BAND = 0.02  # lag of the stresses behind the path at which it waits, relative
 LEAST_START = 0.01  # of the target stress: where a path starts at least
 MODULUS = 0.5  # stress per strain that the pace assumes, over k_n
