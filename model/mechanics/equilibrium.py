@@ -72,7 +72,8 @@ class Stop(NamedTuple):
 
 
 CALMEST = 1e-4  # unbalance, over the contact force, below which paths do not gain by more calm
-START_STEPS = 300  # at most, to come to rest so far at the start of a path
+START = 1e-3  # the same, at which a path may start at most
+START_STEPS = 300  # at most, to come to rest there
 NEVER = Stop(ratio=0.0, stress=-1.0)  # no error is negative: all steps are taken
 
 
@@ -316,7 +317,7 @@ class Specimen(Assembly):
         if self.ledger is not None and damping < 0.0:
             raise ValueError("an energy ledger needs local damping, FIRE takes energy in leaps")
         if servo.gain > 0.0 and servo.pace < np.inf:
-            steps -= self._come_to_rest_at_the_start(servo, damping, steps)
+            steps -= self._come_to_rest_at_the_start(servo, stop, damping, steps)
         return super().relax(servo, stop, damping=damping, steps=steps)
 
     def open_ledger(self) -> None:
@@ -331,12 +332,14 @@ class Specimen(Assembly):
             raise ValueError("the ledger was not opened")
         return energies(self.ledger, self._opening)
 
-    def _come_to_rest_at_the_start(self, servo: Servo, damping: float, steps: int) -> int:
+    def _come_to_rest_at_the_start(
+        self, servo: Servo, stop: Stop, damping: float, steps: int
+    ) -> int:
         """Steps taken; what is left is led away by the path. A ledger rules out FIRE."""
         first = self.steps
         hold = servo._replace(target_xx=servo.start_xx, target_yy=servo.start_yy, pace=np.inf)
         how = FIRE if self.ledger is None else damping
-        rest = Stop(ratio=CALMEST, stress=CALMEST)
+        rest = Stop(min(max(stop.ratio, CALMEST), START), max(stop.stress, CALMEST))
         self.relax(hold, rest, damping=how, steps=min(START_STEPS, steps))
         if self.ledger is None:
             self.stand_still()
