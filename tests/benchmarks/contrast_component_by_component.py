@@ -41,7 +41,7 @@ def run() -> Result:
             for source in range(system.source_count):
                 rhs = system.source(source)
                 found = steady_flow(system, factor, source)
-                rest, through = residual(system, rhs, found.pressure, found.remainder)
+                rest, through = residual(system, source, found.pressure, found.remainder)
                 moved = float(np.abs(found.link).sum() + np.abs(rhs[system.well_node]).sum())
                 whole = max(whole, abs(float(rest.sum())) / moved)
                 passes = np.maximum(through, STAGNANT * moved)

@@ -79,21 +79,27 @@ def reference(system: System, rhs: np.ndarray) -> np.ndarray:
 
 
 def residual(
-    system: System, rhs: np.ndarray, p: np.ndarray, rest: np.ndarray
+    system: System, source: int, p: np.ndarray, rest: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """What does not balance in each unknown (n,), and half of what enters and leaves it (n,).
 
     From flows along edges, which the two parts of a pressure alone give, in extended precision.
+    The flow from a fixed pressure is that of a difference, too: in the right side of a linear
+    system it is rounded before it is taken.
     """
+    held = (system.fixed_source == source).astype(np.longdouble)
+    well = system.source(source) if source >= system.fixed_count else np.zeros(system.n)
     p, rest = p.astype(np.longdouble), rest.astype(np.longdouble)
     i, j = system.edge_i, system.edge_j
     flow = system.edge_g * ((p[i] - p[j]) + (rest[i] - rest[j]))
-    net = rhs.astype(np.longdouble)
+    net = well.astype(np.longdouble)
     np.subtract.at(net, i, flow)
     np.add.at(net, j, flow)
     node = system.fixed_node
-    np.subtract.at(net, node, system.fixed_g * (p[node] + rest[node]))
-    through = np.abs(rhs - system.excess * p)
+    link = system.fixed_g * ((held - p[node]) - rest[node])
+    np.add.at(net, node, link)
+    through = np.abs(well).astype(np.longdouble)
+    np.add.at(through, node, np.abs(link))
     np.add.at(through, i, np.abs(flow))
     np.add.at(through, j, np.abs(flow))
     return net, through / 2
