@@ -41,7 +41,6 @@ if TYPE_CHECKING:
     from model.scene import Scene
 
 TICK = 0.2  # s between looks at times, memory and living workers
-AHEAD_SECONDS = 0.5  # a job that ends sooner gets a successor sent in advance
 WAITING_SECONDS = 2.0  # s without any worker before that is told
 UNFIT_SECONDS = 60.0  # s for which workers that cannot be used are all there are
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
@@ -129,13 +128,12 @@ class _Worker:
         """Whether it has not answered its greeting yet."""
         return bool(self.line) and self.line[0].bundle is None
 
-    @property
-    def soon_free(self) -> bool:
-        """Whether it is at one job, a short one, beside which another may wait."""
+    def soon_free(self, moment: float) -> bool:
+        """Whether it is at one job, of at most a moment's length, beside which another may wait."""
         bundle = self.line[0].bundle if len(self.line) == 1 else None
         if bundle is None or bundle.alone or bundle.seconds is None:
             return False
-        return bundle.seconds < AHEAD_SECONDS
+        return bundle.seconds <= moment
 
     @property
     def usable(self) -> bool:
@@ -214,7 +212,7 @@ class _Execution:
             if not ready[address].line:
                 self._send_next(address, alone_possible=True)
         for address in sorted(ready):
-            if ready[address].soon_free:
+            if ready[address].soon_free(self.schedule.bundle_seconds):
                 self._send_next(address, alone_possible=False)
         if ready and not any(worker.line for worker in self.workers.values()):
             raise RunError(f"{self.schedule.pending} stage runs wait for each other")
@@ -370,6 +368,7 @@ class _Execution:
         """End what takes too much, and find workers that went without a word."""
         now = time.monotonic()
         addresses = self.pool.addresses()
+        self.schedule.share_out(len(addresses))
         self.watched += len(addresses) * (now - self.looked)
         self.looked = now
         for address, worker in list(self.workers.items()):

@@ -3,7 +3,8 @@
 A stage run becomes ready when its parents are stored. The queue is ordered by the first
 case that wants a run, so that cases finish early, one after the other, instead of all at
 the end. Short runs are handed out in bundles, since a message to a worker and back costs
-as much as they do.
+as much as they do: long bundles while much is left, short ones at the end, when a worker
+that is done early would wait for the others.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ from sweep.blame import Blame
 from sweep.cost import Costs
 from sweep.plan import Kind, Plan
 
-BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts about this long
+BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts at least about this long
+LONGEST_SECONDS = 1.0  # and at most so long, while much is left
+SHARES = 8  # bundles that what is left for a worker makes between these two
 BUNDLE_LENGTH = 64  # and holds no more runs than this
 
 
@@ -63,6 +66,7 @@ class Schedule:
         self.state[failed & ~stored] = State.FAILED
         self.suspects: set[int] = set()
         self.blame = Blame()
+        self.bundle_seconds = BUNDLE_SECONDS
         number: dict[Kind, int] = {}
         self._kind = np.array(
             [number.setdefault(run.kind, len(number)) for run in plan.runs], dtype=np.int32
@@ -109,7 +113,7 @@ class Schedule:
         runs: list[int] = []
         chain: list[tuple[int, int]] = []  # children that this bundle itself makes ready
         seconds: float | None = 0.0
-        while len(runs) < BUNDLE_LENGTH and seconds is not None and seconds < BUNDLE_SECONDS:
+        while len(runs) < BUNDLE_LENGTH and seconds is not None and seconds < self.bundle_seconds:
             heap, wanted = (chain, State.WAITING) if chain else (self._ready, State.READY)
             if not heap:
                 break
@@ -117,7 +121,7 @@ class Schedule:
             if self.state[run] != wanted or run in self.suspects:
                 continue
             expected = self._measured.seconds(self.plan.runs[run].kind)
-            if runs and (expected is None or seconds + expected > BUNDLE_SECONDS):
+            if runs and (expected is None or seconds + expected > self.bundle_seconds):
                 if heap is chain:
                     continue  # it becomes ready in its own right once this one is done
                 heapq.heappush(heap, (self.plan.runs[run].case, run))
@@ -217,6 +221,12 @@ class Schedule:
                     return None
                 total += each * int(count)
         return total / max(workers, 1)
+
+    def share_out(self, workers: int) -> None:
+        """Let bundles last as what is left for so many workers asks for."""
+        left = self.seconds_left(workers)
+        share = 0.0 if left is None else left / SHARES
+        self.bundle_seconds = min(max(share, BUNDLE_SECONDS), LONGEST_SECONDS)
 
     def _settle(self, runs: Iterable[int]) -> None:
         """Make ready what has all its parents."""

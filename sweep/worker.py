@@ -10,6 +10,7 @@ that cannot be written is an error of the whole run.
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import signal
 import socket
@@ -18,6 +19,7 @@ import time
 import traceback
 from collections import OrderedDict
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -40,7 +42,8 @@ if TYPE_CHECKING:
     from model.stages import Stage
 
 COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
-JOB_SECONDS = 0.2  # s after which a job begins no further task
+KEEP_SECONDS = 0.2  # s of finished work that may be lost with a worker
+JOB_SECONDS = 1.0  # s after which a job begins no further task
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -126,10 +129,10 @@ def run_job(job: Job) -> list[Outcome]:
     """Run the tasks of a job in turn; return how each of them ended.
 
     A task whose parent failed in the same job is left out of the answer, and so are the rest
-    once the job has taken `JOB_SECONDS`: they were expected to take no time, and what is
-    finished must not wait for them unstored. Raises OSError where the store cannot be written.
+    once the job has taken longer than expected of any: another worker may have nothing to do.
+    Raises OSError where the store cannot be written.
     """
-    begin = time.monotonic()
+    begin = kept = time.monotonic()
     stages = {stage.name: stage for stage in stage_table(job.table)}
     held = _Held(job)
     outcomes: list[Outcome] = []
@@ -145,10 +148,13 @@ def run_job(job: Job) -> list[Outcome]:
         if held.store is None and task.id in held.made:
             outcome = replace(outcome, file=held.made[task.id][1])
         outcomes.append(outcome)
-        if time.monotonic() - begin > JOB_SECONDS:
+        now = time.monotonic()
+        if now - kept > KEEP_SECONDS:
+            held.begin_to_keep()
+            kept = now
+        if now - begin > JOB_SECONDS:
             break
-    if held.store is not None:
-        held.store.keep(held.made)
+    held.keep()
     return outcomes
 
 
@@ -158,8 +164,8 @@ class _Held:
     Parents that lie in memory when it begins stay at hand until it ends, though what it
     loads and makes meanwhile may put them out there: its sender counts on them.
 
-    It is stored when the job ends, a moment after it began or with its first longer run: one
-    flush serves all that was made.
+    It is stored when the job ends, and every moment before that: one flush serves all that
+    was made since the one before.
     """
 
     def __init__(self, job: Job):
@@ -168,6 +174,8 @@ class _Held:
         parents = {identity for task in job.tasks for identity in task.parents if identity}
         self.at_hand = {i: arrays for i in parents if (arrays := _memory.get(i)) is not None}
         self.made: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity
+        self._begun = 0  # of them, so many are stored or on their way to the disk
+        self._writing: Future[None] | None = None
 
     def get(self, identity: str) -> Stored:
         """Return a product. Raises MissingError, DamagedError."""
@@ -187,6 +195,33 @@ class _Held:
     def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
         """Take the record of a failure."""
         self.made[identity] = ("failed", pack({}, {**meta, "id": identity}))
+
+    def begin_to_keep(self) -> None:
+        """Store what was made since the last time; the disk takes its time beside the next run.
+
+        Raises OSError where what was begun before could not be stored.
+        """
+        if self.store is not None:
+            self._wait()
+            self._writing = _writer.submit(self.store.keep, self._fresh())
+
+    def keep(self) -> None:
+        """Store all that was made. Raises OSError."""
+        if self.store is not None:
+            self._wait()
+            self.store.keep(self._fresh())
+
+    def _fresh(self) -> dict[str, tuple[str, bytes]]:
+        fresh = dict(itertools.islice(self.made.items(), self._begun, None))
+        self._begun = len(self.made)
+        return fresh
+
+    def _wait(self) -> None:
+        if self._writing is not None:
+            self._writing.result()
+
+
+_writer = ThreadPoolExecutor(1, "store")  # one file after the other
 
 
 def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | None) -> Outcome:

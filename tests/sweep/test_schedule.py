@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sweep.blame import ATTEMPTS_ALONE
 from sweep.plan import Kind, Plan, StageRun
-from sweep.schedule import BUNDLE_SECONDS, Schedule, State, Tally
+from sweep.schedule import BUNDLE_SECONDS, LONGEST_SECONDS, SHARES, Schedule, State, Tally
 from sweep.stages import stage_table
 from tests.sweep.toys import TABLE
 
@@ -65,6 +65,22 @@ def test_short_runs_go_in_bundles_of_bounded_length():
     assert sorted(run for bundle in bundles for run in bundle) == list(range(444))
     assert max(map(len, bundles)) == 8
     assert len(bundles) < 444 / 6
+
+
+def test_bundles_are_long_at_first_and_short_at_the_end():
+    schedule = fresh(tree(100, 1, 1))
+    schedule.share_out(2)
+    assert schedule.bundle_seconds == BUNDLE_SECONDS  # nothing is known yet
+    each, lengths = LONGEST_SECONDS / 10, []
+    while bundle := schedule.next_bundle():
+        left = each * (300 - sum(lengths)) / 2  # for each of two workers
+        assert len(bundle.runs) * each <= max(BUNDLE_SECONDS, left / SHARES) + each
+        lengths.append(len(bundle.runs))
+        for run in bundle.runs:
+            schedule.done(run, each)
+        schedule.share_out(2)
+    assert sum(lengths) == 300
+    assert (lengths[0], max(lengths), lengths[-1]) == (1, 10, 1)
 
 
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.data())

@@ -55,10 +55,25 @@ def test_a_bundle_runs_in_turn_and_stores_each_product(store):
         assert meta["versions"]["numpy"] == np.__version__
 
 
-def test_a_job_that_takes_longer_than_a_moment_ends_and_stores_what_it_has(store):
+def test_a_job_that_takes_longer_than_foreseen_ends_and_stores_what_it_has(store):
     outcomes = run(store, *tasks(seconds=worker.JOB_SECONDS + 0.05))
     assert [o.run for o in outcomes] == [0, 1]
     assert [store.has(identity) for identity in IDS.values()] == [True, True, False]
+
+
+def test_what_a_job_has_finished_is_stored_while_it_goes_on(store, monkeypatch):
+    kept: list[list[str]] = []
+
+    def keep(self: Store, files: dict) -> None:
+        kept.append([identity[:2] for identity in files])
+        ordinary(self, files)
+
+    ordinary = Store.keep
+    monkeypatch.setattr(Store, "keep", keep)
+    outcomes = run(store, *tasks(seconds=worker.KEEP_SECONDS + 0.05))
+    assert [o.status for o in outcomes] == [Status.DONE] * 3
+    assert kept == [["00", "11"], ["22"]]
+    assert all(store.has(identity) for identity in IDS.values())
 
 
 def test_compiling_is_left_out_of_the_time_of_a_stage(store):
@@ -99,13 +114,14 @@ def test_a_lost_parent_is_named(store):
     assert store.failure(IDS["flow"]) is None
 
 
-def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkeypatch):
+@pytest.mark.parametrize("seconds", [0.0, worker.KEEP_SECONDS + 0.05])
+def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkeypatch, seconds):
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("sweep.durable.os.replace", fail)
     with pytest.raises(OSError, match="No space"):
-        run(store, *tasks())
+        run(store, *tasks(seconds=seconds))
     monkeypatch.undo()
     assert list(store.files()) == []
 
