@@ -107,6 +107,7 @@ class _Flight:
     future: Future
     begin: float  # when its worker came to it; later by what was compiled since
     answer: Answer[Any] | None = None  # which is on its way from when the worker has ended it
+    before: float | None = None  # s that earlier stages took, once that was asked for
 
 
 @dataclass(eq=False)
@@ -380,7 +381,7 @@ class _Execution:
             elif at.bundle is None:
                 if now - at.begin > GREETING_SECONDS:
                     self._give_up(address)
-            elif verdict := self._excess(address, worker, at.bundle, now - at.begin):
+            elif verdict := self._excess(address, worker, at, now):
                 self._bury(address, verdict)
                 self.pool.kill(address)
         unfit = [worker.unfit for worker in self.workers.values() if worker.unfit]
@@ -405,12 +406,12 @@ class _Execution:
                 f"the last of them was {address}"
             )
 
-    def _excess(
-        self, address: str, worker: _Worker, bundle: Bundle, seconds: float
-    ) -> Excess | None:
+    def _excess(self, address: str, worker: _Worker, at: _Flight, now: float) -> Excess | None:
+        if at.before is None and at.bundle is not None:
+            at.before = self.judge.before(at.bundle.runs)
         since = worker.compiling
-        compiling = since is not None and time.monotonic() - since < COMPILING_SECONDS
-        if not compiling and (late := self.judge.of_time(bundle.runs, seconds)):
+        compiling = since is not None and now - since < COMPILING_SECONDS
+        if not compiling and (late := self.judge.of_time(at.before or 0.0, now - at.begin)):
             return late
         return self.judge.of_memory(self.pool.memory(address))
 

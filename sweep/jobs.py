@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from sweep.errors import RunError
 from sweep.plan import Plan
+from sweep.schedule import LONGEST_SECONDS
 from sweep.store import DamagedError, MissingError, Store
 from sweep.worker import Job, Task
 
@@ -55,9 +56,11 @@ class Jobs:
     def make(self, address: str, runs: tuple[int, ...]) -> Job:
         """The job of some runs for a worker. Raises ParentLostError."""
         tasks = tuple(map(self._task, runs))
-        if not self.travel:
-            return Job(str(self.store.root.resolve()), self.table, tasks, memory=self.memory)
-        return Job(None, self.table, tasks, self._files_for(address, tasks), self.memory)
+        if self.travel:
+            store, files = None, self._files_for(address, tasks)
+        else:
+            store, files = str(self.store.root.resolve()), {}
+        return Job(store, self.table, tasks, files, self.memory, LONGEST_SECONDS)
 
     def made(self, address: str, run: int) -> None:
         """A worker made the product of a run."""

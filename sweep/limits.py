@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Container
 from dataclasses import replace
 
 from sweep.memory import machine_memory
@@ -39,13 +39,16 @@ class Judge:
         self.plan, self.store, self.limits = plan, store, limits
         self._seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
 
-    def of_time(self, runs: Iterable[int], seconds: float) -> Excess | None:
-        """Whether runs that are not done after so many seconds take too long."""
+    def before(self, runs: Collection[int]) -> float:
+        """What the earlier stages of these runs took, those of the hardest case, s."""
+        if self.limits.time is None:
+            return 0.0
+        return max(self._seconds_before(run, runs) for run in runs)
+
+    def of_time(self, before: float, seconds: float) -> Excess | None:
+        """Whether runs take too long that are not done after so many seconds."""
         limit = self.limits.time
-        if limit is None:
-            return None
-        before = max(map(self._seconds_before, runs))
-        if before + seconds <= limit:
+        if limit is None or before + seconds <= limit:
             return None
         earlier = f", {before:.3g} s of them in earlier stages" if before > 0.01 else ""
         return Status.TIMED_OUT, (
@@ -63,20 +66,20 @@ class Judge:
             "worker's share of this machine; raise it, use fewer workers, or make the case smaller"
         )
 
-    def _seconds_before(self, run: int) -> float:
-        """What the runs that a run builds on took, s."""
+    def _seconds_before(self, run: int, together: Container[int]) -> float:
+        """What the runs that a run builds on took, other than those done together with it, s."""
         ancestors: set[int] = set()
         stack = [run]
         while stack:
             parents = {p for p in self.plan.runs[stack.pop()].parents if p >= 0}
             stack += parents - ancestors
             ancestors |= parents
-        return sum(map(self._seconds_of, ancestors))
+        return sum(self._seconds_of(a) for a in ancestors if a not in together)
 
     def _seconds_of(self, run: int) -> float:
         if run not in self._seconds:
             try:
                 self._seconds[run] = self.store.meta(self.plan.runs[run].id)["seconds"]
             except (MissingError, DamagedError):
-                return 0.0  # being computed in the same bundle; or the worker will miss it too
+                return 0.0  # the worker will miss it too
         return self._seconds[run]

@@ -21,7 +21,7 @@ from sweep.cost import Costs
 from sweep.plan import Kind, Plan
 
 BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts at least about this long
-LONGEST_SECONDS = 1.0  # and at most so long, while much is left
+LONGEST_SECONDS = 2.0  # and at most so long, while much is left
 SHARES = 8  # bundles that what is left for a worker makes between these two
 BUNDLE_LENGTH = 64  # and holds no more runs than this
 

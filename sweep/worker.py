@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import ctypes
 import itertools
+import math
 import os
 import signal
 import socket
@@ -43,7 +44,6 @@ if TYPE_CHECKING:
 
 COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
 KEEP_SECONDS = 0.2  # s of finished work that may be lost with a worker
-JOB_SECONDS = 1.0  # s after which a job begins no further task
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -66,6 +66,7 @@ class Job:
     tasks: tuple[Task, ...]
     files: Mapping[str, bytes] = field(default_factory=dict)  # of parents that travel, by identity
     memory: float | None = None  # bytes of resident memory that the worker may come to
+    longest: float = math.inf  # s after which no further task is begun
 
 
 @dataclass(frozen=True)
@@ -129,7 +130,7 @@ def run_job(job: Job) -> list[Outcome]:
     """Run the tasks of a job in turn; return how each of them ended.
 
     A task whose parent failed in the same job is left out of the answer, and so are the rest
-    once the job has taken longer than expected of any: another worker may have nothing to do.
+    once the job has taken its longest: another worker may have nothing to do.
     Raises OSError where the store cannot be written.
     """
     begin = kept = time.monotonic()
@@ -152,7 +153,7 @@ def run_job(job: Job) -> list[Outcome]:
         if now - kept > KEEP_SECONDS:
             held.begin_to_keep()
             kept = now
-        if now - begin > JOB_SECONDS:
+        if now - begin > job.longest:
             break
     held.keep()
     return outcomes

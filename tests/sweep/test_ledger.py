@@ -90,10 +90,12 @@ def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
     store(made, 0, seconds=3.0)
     store(made, 1, seconds=4.0)
     judge = Judge(made.plan, made.store, Limits(time=10.0))
-    assert judge.of_time([2], 2.9) is None
-    status, why = judge.of_time([2], 3.1)
+    assert judge.before([2]) == 7.0
+    assert judge.before([1, 2]) == 3.0  # run 1 takes its time together with run 2
+    assert judge.of_time(7.0, 2.9) is None
+    status, why = judge.of_time(7.0, 3.1)
     assert (status, "7 s of them in earlier stages" in why) == (Status.TIMED_OUT, True)
-    assert Judge(made.plan, made.store, UNLIMITED).of_time([2], 1e9) is None
+    assert Judge(made.plan, made.store, UNLIMITED).of_time(7.0, 1e9) is None
 
 
 def test_what_a_worker_elsewhere_was_to_make_is_not_taken_as_there(made):

@@ -37,8 +37,8 @@ def tasks(rate: float = 1.0, seconds: float = 0.0) -> tuple[Task, ...]:
     )
 
 
-def run(store: Store, *chosen: Task) -> list:
-    return run_job(Job(str(store.root), toys.TABLE, chosen))
+def run(store: Store, *chosen: Task, **bounds: float) -> list:
+    return run_job(Job(str(store.root), toys.TABLE, chosen, **bounds))
 
 
 def test_a_bundle_runs_in_turn_and_stores_each_product(store):
@@ -56,7 +56,7 @@ def test_a_bundle_runs_in_turn_and_stores_each_product(store):
 
 
 def test_a_job_that_takes_longer_than_foreseen_ends_and_stores_what_it_has(store):
-    outcomes = run(store, *tasks(seconds=worker.JOB_SECONDS + 0.05))
+    outcomes = run(store, *tasks(seconds=0.06), longest=0.05)
     assert [o.run for o in outcomes] == [0, 1]
     assert [store.has(identity) for identity in IDS.values()] == [True, True, False]
 
