@@ -247,7 +247,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="model.flow.solvers:flow",
-        version=12,
+        version=13,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,

@@ -15,7 +15,7 @@ import numpy as np
 
 from model.flow.algebraic import Algebraic, algebraic
 from model.flow.explicit import SECONDS_PER_UPDATE, step_limit
-from model.flow.problem import Answer, Problem
+from model.flow.problem import FAINT, Answer, Problem
 
 EULER = 0.648  # the largest value of z² / (e^z − 1)
 FIELD = 16.0 * math.exp(-2.0)  # the largest value of z² e^(−z/2)
@@ -23,13 +23,13 @@ FIELD = 16.0 * math.exp(-2.0)  # the largest value of z² e^(−z/2)
 # Seconds: ordering, a factor and a solve of n unknowns, and what each vector or step costs
 # besides. The powers are those of planar graphs under a minimum-degree order.
 ORDER, FACTOR, SOLVE = (4.5e-7, 1.08), (2.5e-8, 1.25), (9e-9, 1.15)
-START = 1.5e-3
+START = 1e-3
 
 # Where explicit's error is told from its answer: the steps to the first lag and the ratio of two
 # lags that this needs, and how much larger it is taken.
 FEW_STEPS, DENSE, CAUTION = 10.0, 1.5, 2.0
 VECTOR = 1.5e-4
-STAGE = 5e-5
+STAGE = 2e-5
 
 
 class Forecast(NamedTuple):
@@ -41,26 +41,31 @@ class Forecast(NamedTuple):
 
 
 class Course(NamedTuple):
-    """How far the sources' own responses move within the window."""
+    """How fast the responses of the sources bend, the worst of all."""
 
-    error_rate: float  # of forward Euler, over half its step, 1/s
-    moved: float  # part of the response that does not come at once, 0 … 1
+    error_rate: float  # of forward Euler, over half its step, 1/s; of a source's own response
+    field_rate: float  # the same of any pore's
 
 
 def course(problem: Problem) -> Course:
-    """What every forecast needs to know, the worst of all sources."""
+    """What every forecast needs to know."""
     if not math.isfinite(problem.lag[-1]):  # the steady state alone
-        return Course(0.0, 1.0)
+        return Course(0.0, 0.0)
     wells = algebraic(problem.system)
     found = [_course(problem, k, wells) for k in problem.active_sources]
     return Course(
         max((one.error_rate for one in found), default=0.0),
-        max((one.moved for one in found), default=0.0),
+        max((one.field_rate for one in found), default=0.0),
     )
 
 
 def _power(law: tuple[float, float], n: int) -> float:
     return law[0] * n ** law[1]
+
+
+def _last(problem: Problem) -> float:
+    """The last lag, s."""
+    return float(problem.lag[-1])
 
 
 def _window(problem: Problem) -> tuple[float, float, float]:
@@ -71,30 +76,32 @@ def _window(problem: Problem) -> tuple[float, float, float]:
     return float(lag[0]), float(lag[-1]), math.log10(lag[-1] / lag[0])
 
 
-def _breadth(problem: Problem) -> float:
-    """Decades of time in which the pressure moves: of the window, or of the network if fewer."""
-    return min(_window(problem)[2], 0.5 * math.log10(problem.system.n + 1.0) ** 1.5)
-
-
 def krylov_forecast(problem: Problem, course: Course) -> Forecast:
-    """Two factors and the vectors that the tolerance takes, which grow slowly with the network."""
+    """Two factors, and vectors by the decades that have settled and the digits asked for.
+
+    A small network has few modes, and a well's own response is found to twice the digits at
+    which the field is known, its error being a square.
+    """
     n, sources = problem.system.n, len(problem.active_sources)
-    digits = math.log10(max(1.0, course.moved / problem.tolerance))
-    vectors = 3.0 + digits * (1.2 + 0.5 * _breadth(problem))
+    settled = min(2.0 * math.log10(1.0 + course.error_rate * _last(problem)), 0.62 * n**0.28)
+    far = any(problem.far(k) for k in problem.active_sources)
+    vectors = 5.0 - math.log10(problem.tolerance) * settled * (1.0 if far else 0.5)
     maps = len(problem.domain) * (vectors * 1e-8 + len(problem.lag) * vectors * 4e-10)
-    each = _power(SOLVE, n) + VECTOR + n * vectors * 4e-9 + len(problem.lag) * 1e-6
+    each = _power(SOLVE, n) + VECTOR + vectors * (8e-6 + n * 5e-10) + len(problem.lag) * 1e-6
     common = START + _power(ORDER, n) + 2.0 * _power(FACTOR, n)
     return Forecast(common + sources * (vectors * each + maps))
 
 
 def implicit_forecast(problem: Problem, course: Course) -> Forecast:
-    """Steps of a fourth-order method over the decades, and a factor for each octave."""
+    """Steps of a fourth-order method while modes settle, and a factor for each octave of time."""
     n, sources = problem.system.n, len(problem.active_sources)
-    decades = _window(problem)[2] + 2.0
-    steps = 2.0 * decades + 1.1 * _breadth(problem) * problem.tolerance**-0.25
-    factors = min(3.3 * decades, steps)
+    settled = 0.85 * math.log10(1.0 + 6.0 * course.error_rate * _last(problem))
+    if len(problem.domain) or (problem.check_flows and problem.records.flow_rows):
+        settled *= 1.6  # they bend more than pressures do
+    steps = 2.4 + settled * (1.3 + problem.tolerance**-0.25)
+    factors = min(3.3 * (_window(problem)[2] + 2.0), steps)
     maps = len(problem.domain) * len(problem.lag) * 4e-9
-    each = 5.0 * (_power(SOLVE, n) + STAGE + n * 3e-8)
+    each = 5.0 * (_power(SOLVE, n) + STAGE + n * 1e-8)
     common = START + _power(ORDER, n) + factors * _power(FACTOR, n)
     return Forecast(common + sources * (steps * each + maps))
 
@@ -111,7 +118,8 @@ def explicit_forecast(problem: Problem, course: Course) -> Forecast:
     Far from the source no sum has weights of one sign. The inflow of a fixed pressure is one
     that falls: off by at most (Δt / 2t) max z² e^(−z/2) of what it was at t / 2. A field keeps
     the source's own bound in the norm of the volume; in single pores of random networks the
-    error came to twice that, which is below the flow's.
+    error came to twice that, which is below the flow's. And as no step enlarges the largest
+    difference of pressure, no pore is ever off by more than (Δt / 2) t max |d²p/dt²| at the start.
     """
     system, lags = problem.system, len(problem.lag)
     first, last, _ = _window(problem)
@@ -119,7 +127,12 @@ def explicit_forecast(problem: Problem, course: Course) -> Forecast:
         return Forecast(math.inf)
     far = any(problem.far(k) for k in problem.active_sources)
     near = 2.0 * problem.tolerance / min(course.error_rate, EULER / first)
-    step = 2.0 * problem.tolerance * first / FIELD if far else near
+    step = near
+    if far:
+        rate = FIELD / first
+        if not (problem.check_flows and problem.records.flow_rows):
+            rate = min(rate, course.field_rate)
+        step = min(near, 2.0 * problem.tolerance / rate)
     hoped = min(near, first / FEW_STEPS)
     proven = hoped <= step or not _lies_apart(problem)
     if not proven:
@@ -166,26 +179,34 @@ def euler_error(problem: Problem, answer: Answer) -> float:
 
 
 def _course(problem: Problem, source: int, wells: Algebraic) -> Course:
-    """The modes' mean decay, by their share in the response, and that share.
+    """The modes' mean decay, by their share in the response, and a bound for any pore.
 
-    At once come the pressure of a well that stores nothing and the flow from a fixed
-    pressure. Where other outputs or maps are recorded, what moves is a field that starts
-    from nothing.
+    At once come the pressure of a well that stores nothing and the flow from a fixed pressure.
+    A pore's error is compared with the largest pressure of the map, or with what counts of that
+    of the source (`Problem.scale`).
     """
-    system, rhs = problem.system, problem.system.source(source)
+    system, rhs, last = problem.system, problem.system.source(source), _last(problem)
     load = wells.reduce_source(rhs)
-    start = load / system.storage[: system.pores]
-    u = wells.lift(start)
-    energy = system.edge_g @ (u[system.edge_i] - u[system.edge_j]) ** 2
-    energy += system.fixed_g @ u[system.fixed_node] ** 2
+    start = load / system.storage[: system.pores]  # of dp/dt
     grows = float(load @ start)  # of the source's own response, per second
     if grows == 0.0:
         return Course(0.0, 0.0)
+    net = -system.net_inflow(wells.lift(start))[: system.pores]
+    decay = float(start @ net) / grows
     at_once = abs(float(rhs[system.pores :] @ wells.direct(rhs)))
+    # the mean pore at the source has come to at least so much at last
+    moved = -grows * math.expm1(-decay * last) / decay if decay > 0.0 else grows * last
+    bend = float(np.max(np.abs(net / system.storage[: system.pores])))
+    if len(problem.domain):
+        largest = moved / float(np.abs(load).sum())
+    elif source < system.fixed_count:
+        largest = FAINT
+    else:
+        largest = FAINT * (at_once + moved) if problem.own_well(source) is not None else 0.0
     if source < system.fixed_count:
         at_once = abs(float(problem.records.direct[source, problem.records.well_rows + source]))
-    share = min(1.0, grows * _window(problem)[1] / at_once) if at_once > 0.0 else 1.0
-    return Course(float(energy) / grows * share, 1.0 if problem.far(source) else share)
+    share = min(1.0, grows * last / at_once) if at_once > 0.0 else 1.0
+    return Course(decay * share, bend * last / largest if largest > 0.0 else math.inf)
 
 
 def steady_forecast(problem: Problem, course: Course) -> Forecast:

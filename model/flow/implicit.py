@@ -17,6 +17,7 @@ from model.flow.algebraic import Algebraic, algebraic
 from model.flow.balance import transient_misfit
 from model.flow.factor import Factor, Symbolic, analyse, factorise, solve
 from model.flow.problem import Answer, Problem, empty_answer, fill_map
+from model.flow.records import map_rows
 from model.flow.system import System
 from model.outcome import ModelError
 
@@ -295,8 +296,9 @@ class _Gauge:
     """Relative size of an error of the pressure.
 
     Pressures count against the largest pressure change; by the maximum principle that is
-    the source's own. Flows count against the largest value that each has taken since the
-    first lag, or a tenth (`FAINT`) of the largest flow.
+    the source's own. Those of a map count against the largest of the map too, which a well
+    that stores nothing may leave far behind. Flows count against the largest value that each
+    has taken since the first lag, or a tenth (`FAINT`) of the largest flow.
     """
 
     def __init__(self, problem: Problem, source: int) -> None:
@@ -308,6 +310,9 @@ class _Gauge:
         self.check_flows = problem.check_flows
         self.least_pressure, self.least_flow = problem.own_size(source)
         self.seen = np.zeros(len(self.direct))
+        node, fixed = map_rows(problem.system, problem.domain)
+        self.mapped = node[node >= 0]
+        self.least_mapped = float(np.any(fixed == source))
 
     def accept(self, pressure: np.ndarray, time: float) -> None:
         """Remember the flows from the first lag on."""
@@ -323,6 +328,8 @@ class _Gauge:
             return math.inf
         size = np.abs(pressure).max(initial=self.least_pressure)
         worst = np.abs(error).max(initial=0.0) / size if size > 0 else 0.0
+        size = np.abs(pressure[self.mapped]).max(initial=self.least_mapped)
+        worst = max(worst, np.abs(error[self.mapped]).max(initial=0.0) / size if size > 0 else 0.0)
         if not self.check_flows:
             return float(worst)
         flow = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
