@@ -7,8 +7,12 @@ that are ended from outside at a rate λ die k times or more in a time T with th
 
     P(N ≥ k) = 1 - Σ_{j<k} e^{-μ} μ^j / j!,   μ = λ T
 
-(Poisson). λ is the rate at which workers died without this run; where none did, the second
-death alone convicts.
+(Poisson). λ is the rate at which workers died without this run. Where none did in the rest T of
+the time, λ is known to be small only, with a density T e^{-λT}; then
+
+    P(N ≥ k) = (t / (t + T))^k
+
+for a run that was alone for a time t. A run that takes long is not tried as often as that.
 """
 
 from __future__ import annotations
@@ -17,8 +21,10 @@ import math
 from collections.abc import Collection
 
 ATTEMPTS_ALONE = 2  # deaths of a worker, with nothing else on it, that convict a run at least
+ATTEMPTS_QUICK = 3  # the same of one that took less than `PATIENCE` away: coincidence is too easy
 ATTEMPTS_AT_MOST = 50  # that convict it though workers die everywhere: it would never end
 CHANCE = 1e-6  # of being blamed for what came from outside
+PATIENCE = 5.0  # s that a run may take away with it where no other worker dies
 
 
 class Blame:
@@ -52,13 +58,16 @@ class Blame:
         return None
 
     def _convicts(self, run: int, watched: float) -> bool:
-        count, elsewhere = self.deaths[run], sum(run not in a for a in self._unexplained)
-        if count < ATTEMPTS_ALONE or not elsewhere:
-            return count >= ATTEMPTS_ALONE
+        count, seconds = self.deaths[run], self._seconds[run]
+        elsewhere = sum(run not in aboard for aboard in self._unexplained)
+        if count < (ATTEMPTS_ALONE if seconds >= PATIENCE else ATTEMPTS_QUICK):
+            return False
         if count >= ATTEMPTS_AT_MOST:
             return True
-        mean = elsewhere * self._seconds[run] / watched if watched else math.inf
-        return by_chance(count, mean) < CHANCE
+        if elsewhere:
+            mean = elsewhere * seconds / watched if watched else math.inf
+            return by_chance(count, mean) < CHANCE
+        return seconds >= PATIENCE or (seconds / watched if watched else 0.0) ** count < CHANCE
 
 
 def by_chance(count: int, mean: float) -> float:

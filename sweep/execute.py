@@ -369,7 +369,7 @@ class _Execution:
         """End what takes too much, and find workers that went without a word."""
         now = time.monotonic()
         addresses = self.pool.addresses()
-        self.schedule.share_out(len(addresses))
+        self.schedule.share_out(len(addresses), self.judge.limits.time)
         self.watched += len(addresses) * (now - self.looked)
         self.looked = now
         for address, worker in list(self.workers.items()):

@@ -222,11 +222,15 @@ class Schedule:
                 total += each * int(count)
         return total / max(workers, 1)
 
-    def share_out(self, workers: int) -> None:
-        """Let bundles last as what is left for so many workers asks for."""
+    def share_out(self, workers: int, limit: float | None = None) -> None:
+        """Let bundles last as what is left for so many workers asks for.
+
+        They stay well below the time limit of a case, s, so as not to be taken for one.
+        """
         left = self.seconds_left(workers)
-        share = 0.0 if left is None else left / SHARES
-        self.bundle_seconds = min(max(share, BUNDLE_SECONDS), LONGEST_SECONDS)
+        share = max(BUNDLE_SECONDS, 0.0 if left is None else left / SHARES)
+        longest = LONGEST_SECONDS if limit is None else min(LONGEST_SECONDS, limit / SHARES)
+        self.bundle_seconds = min(share, longest)
 
     def _settle(self, runs: Iterable[int]) -> None:
         """Make ready what has all its parents."""

@@ -18,12 +18,41 @@ def test_the_chance_is_that_of_many_drawn_numbers():
     assert (by_chance(3, math.inf), by_chance(3, 0.0)) == (1.0, 0.0)
 
 
-def test_where_no_other_worker_dies_the_second_death_alone_convicts():
+def test_where_no_other_worker_dies_the_second_long_death_alone_convicts():
     blame = Blame()
     assert blame.died((3, 4, 5), alone=False) is None
     for _ in range(ATTEMPTS_ALONE - 1):
         assert blame.died((4,), alone=True, seconds=100.0, watched=200.0) is None
     assert blame.died((4,), alone=True, seconds=100.0, watched=400.0) == 4
+
+
+def test_a_short_run_is_tried_more_often_before_it_is_blamed():
+    """Two workers, each death 0.1 s after it began and 2 s after the last."""
+    blame, verdicts = Blame(), []
+    blame.died((4, 7), alone=False)
+    while not verdicts or verdicts[-1] is None:
+        watched = 4.0 * (len(verdicts) + 1)
+        verdicts.append(blame.died((7,), alone=True, seconds=0.1, watched=watched))
+    assert verdicts == [None] * 3 + [7]
+    assert (0.1 / 4.0) ** 4 < CHANCE < (0.1 / 4.0) ** 3
+
+
+def test_a_storm_at_the_very_start_convicts_nobody():
+    """Two workers of which one is killed every 0.5 s, under runs of 0.2 s that wait to be tried."""
+    chance = np.random.default_rng(5)
+    for _ in range(100):
+        blame, watched, suspects = Blame(), 2.0, list(range(10))
+        blame.died(suspects, alone=False)
+        for _ in range(100):
+            until = chance.exponential(1.0)  # of this worker's life
+            watched += 2.0 * min(until, 0.2)
+            if until > 0.2:
+                suspects.pop(0)
+                if not suspects:
+                    break
+            else:
+                run = suspects[0]
+                assert blame.died((run,), alone=True, seconds=until, watched=watched) is None
 
 
 def test_a_run_that_kills_at_once_is_blamed_though_workers_die_elsewhere_too():
@@ -41,10 +70,10 @@ def test_a_run_that_kills_at_once_is_blamed_though_workers_die_elsewhere_too():
 def test_what_a_convicted_run_did_speaks_for_nobody_else():
     blame = Blame()
     for _ in range(ATTEMPTS_ALONE):
-        convicted = blame.died((1,), alone=True, seconds=1.0, watched=10.0)
+        convicted = blame.died((1,), alone=True, seconds=5.0, watched=50.0)
     assert convicted == 1
     for _ in range(ATTEMPTS_ALONE):
-        convicted = blame.died((2,), alone=True, seconds=1.0, watched=10.0)
+        convicted = blame.died((2,), alone=True, seconds=5.0, watched=50.0)
     assert convicted == 2
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.blame import ATTEMPTS_ALONE
+from sweep.blame import ATTEMPTS_QUICK
 from sweep.plan import Kind, Plan, StageRun
 from sweep.schedule import BUNDLE_SECONDS, LONGEST_SECONDS, SHARES, Schedule, State, Tally
 from sweep.stages import stage_table
@@ -83,6 +83,17 @@ def test_bundles_are_long_at_first_and_short_at_the_end():
     assert (lengths[0], max(lengths), lengths[-1]) == (1, 10, 1)
 
 
+def test_bundles_are_no_longer_than_a_part_of_a_case_s_time_limit():
+    schedule = fresh(tree(100, 1, 1))
+    while (bundle := schedule.next_bundle()) and bundle.seconds is None:
+        for run in bundle.runs:
+            schedule.done(run, 0.1)
+    schedule.share_out(2)
+    free = schedule.bundle_seconds
+    schedule.share_out(2, limit=4.0)
+    assert schedule.bundle_seconds == 4.0 / SHARES < free
+
+
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.data())
 def test_whatever_happens_every_run_ends_once(packs, flows, observers, data):
     plan = tree(packs, flows, observers)
@@ -138,7 +149,7 @@ def test_a_death_is_blamed_on_a_run_only_when_it_was_alone():
     assert company.runs == (3, 4)
     assert schedule.died(company) is None
     assert schedule.next_bundle(alone_possible=False) is None
-    for _ in range(ATTEMPTS_ALONE):
+    for _ in range(ATTEMPTS_QUICK):
         alone = schedule.next_bundle()
         assert alone.alone
         assert alone.runs == (3,)
