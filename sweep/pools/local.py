@@ -101,6 +101,8 @@ class LocalPool(Pool):
             )
         for name in fallen:
             self.cluster.worker_spec.pop(name, None)
+            # the next may get the same name, and would count as there already
+            self.cluster.workers.pop(name, None)
         self.cluster.scale(self.workers)
 
     def unfit(self, address: str) -> str | None:
