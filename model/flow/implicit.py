@@ -326,13 +326,19 @@ class _Gauge:
         """
         if not (np.isfinite(error).all() and np.isfinite(pressure).all()):
             return math.inf
-        size = np.abs(pressure).max(initial=self.least_pressure)
-        worst = np.abs(error).max(initial=0.0) / size if size > 0 else 0.0
-        size = np.abs(pressure[self.mapped]).max(initial=self.least_mapped)
-        worst = max(worst, np.abs(error[self.mapped]).max(initial=0.0) / size if size > 0 else 0.0)
+        mapped = self.mapped
+        worst = max(
+            _over(error, np.abs(pressure).max(initial=self.least_pressure)),
+            _over(error[mapped], np.abs(pressure[mapped]).max(initial=self.least_mapped)),
+        )
         if not self.check_flows:
-            return float(worst)
+            return worst
         flow = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
         flow = np.maximum(flow, FAINT * flow.max(initial=self.least_flow))
         off = np.abs(self.rows @ error)
         return float(max(worst, np.max(off[flow > 0] / flow[flow > 0], initial=0.0)))
+
+
+def _over(error: np.ndarray, size: float) -> float:
+    """Largest error over a size, 0 where there is none."""
+    return float(np.abs(error).max(initial=0.0) / size) if size > 0.0 else 0.0

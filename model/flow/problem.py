@@ -35,6 +35,11 @@ class Problem(NamedTuple):
         """Positions of the sources that act."""
         return [int(k) for k in np.flatnonzero(self.active)]
 
+    @property
+    def flows_count(self) -> bool:
+        """Whether inflows at fixed pressures are recorded and held to the tolerance."""
+        return self.check_flows and self.records.flow_rows > 0
+
     def own_well(self, source: int) -> int | None:
         """Output that is the pressure of the well that the source is; None for other sources."""
         well = source - self.system.fixed_count
