@@ -15,11 +15,17 @@ __all__ = ["Scene", "SceneError", "simulate"]
 
 def __getattr__(name: str) -> Any:
     if name in ("Scene", "SceneError"):
-        from model import scene
+        from demflow.model import scene
 
         return getattr(scene, name)
     if name == "simulate":
-        from model.stages import simulate
+        from demflow.model.stages import simulate
 
         return simulate
-    raise AttributeError(f"module 'model' has no attribute {name!r}")
+    raise AttributeError(f"module 'demflow.model' has no attribute {name!r}")
+
+
+if __name__ == "model":
+    from demflow.checkout import alias
+
+    alias("model")

@@ -24,7 +24,7 @@ import numba
 from numba import njit
 from numba.core import caching, event
 
-from model.compilation import compilation
+from demflow.model.compilation import compilation
 
 
 def kernel(function: Callable[..., Any]) -> Any:

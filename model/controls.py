@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.flow.sites import WellSite, time_since
-from model.scene import InitialField, Scene, Well
+from demflow.model.flow.equation.sites import WellSite, time_since
+from demflow.model.scene import InitialField, Scene, Well
 
 
 class Controls(NamedTuple):
@@ -20,7 +20,7 @@ class Controls(NamedTuple):
     wells: tuple[Well, ...]
     times: tuple[float, ...]  # s
     transient: bool
-    start: str = "uniform"  # or gradient, steady: see `model.flow.solvers.flow`
+    start: str = "uniform"  # or gradient, steady: see `model.flow.solvers.registry.flow`
     gradient: tuple[float, float] = (0.0, 0.0)  # Pa/m, of a start from a gradient
 
     @property
@@ -80,7 +80,7 @@ def controls(scene: Scene) -> Controls:
 
 
 def active_sources(scene: Scene) -> tuple[bool, ...]:
-    """Which sources act at all, in their order, as `model.flow.solvers.flow` takes them."""
+    """Which sources act at all, in their order, as the stage `flow` takes them."""
     told = controls(scene)
     rates = [any(q != 0.0 for _, q in w.rate_changes) for w in told.wells if w.pressure is None]
     fields = [g != 0.0 for g in told.gradient] if told.start == "gradient" else []

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from model.controls import controls
-from model.observe import pressure_map
-from model.products import Apertures, Network, Packing, StressState
-from model.quantities import MAPS, TESTS
-from model.scene import Scene
+from demflow.model.controls import controls
+from demflow.model.observe import pressure_map
+from demflow.model.products import Apertures, Network, Packing, StressState
+from demflow.model.quantities import MAPS, TESTS
+from demflow.model.scene import Scene
 
 
 def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:

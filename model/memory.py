@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from contextvars import ContextVar
 from pathlib import Path
 
-from model.outcome import OutOfMemory
+from demflow.model.outcome import OutOfMemory
 
 # The most resident memory that this process may come to, bytes.
 _limit: ContextVar[float | None] = ContextVar("memory_limit", default=None)

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 
-from model.controls import Controls, sites, started, step_sizes, superpose
-from model.flow.errors import time_error
-from model.flow.sites import change_times, time_since
-from model.products import (
+from demflow.model.controls import Controls, sites, started, step_sizes, superpose
+from demflow.model.flow.equation.sites import change_times, time_since
+from demflow.model.flow.solvers.time_error import time_error
+from demflow.model.products import (
     Apertures,
     Network,
     Packing,
@@ -18,9 +18,9 @@ from model.products import (
     StrengthTest,
     StressState,
 )
-from model.region import Region, contains
-from model.scene import MEASURED_BY_A_TEST
-from model.transient import bourdet_derivative, flow_periods, pressure_change
+from demflow.model.region import Region, contains
+from demflow.model.scene import MEASURED_BY_A_TEST
+from demflow.model.transient import bourdet_derivative, flow_periods, pressure_change
 
 CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
 
@@ -40,7 +40,7 @@ def observe(
     wanted: tuple[str, ...],
 ) -> dict[str, np.ndarray]:
     """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
-    from model.mechanics.measures import packing_quality
+    from demflow.model.mechanics.specimen.measures import packing_quality
 
     grains = contains(region, np.column_stack([packing.x, packing.y]))
     found = {
@@ -110,7 +110,7 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
     """Number of pipes of the region whose grains have parted under the stress."""
     if stress is None:
         return np.asarray(0)
-    from model.network.apertures import pipe_gaps
+    from demflow.model.network.apertures import pipe_gaps
 
     inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
     return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.flow.factor import analyse, factorise, solve
-from model.network.apertures import uniform
-from model.network.connectivity import reached
-from model.outcome import ModelError
-from model.products import Apertures, Network, Permeability
+from demflow.model.flow.linear.factor import analyse, factorise, solve
+from demflow.model.network.apertures import uniform
+from demflow.model.network.connectivity import reached
+from demflow.model.outcome import ModelError
+from demflow.model.products import Apertures, Network, Permeability
 
 
 def permeability(network: Network, apertures: Apertures, *, viscosity: float) -> np.ndarray:

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from model.scene import MEASURED_BY_A_TEST
-from model.transient import SMOOTHING
+from demflow.model.scene import MEASURED_BY_A_TEST
+from demflow.model.transient import SMOOTHING
 
 
 class Quantity(NamedTuple):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model.parameters import SceneError, check_fields, parameter
+from demflow.model.parameters import SceneError, check_fields, parameter
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from model.controls import active_sources, controls, sites
-from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE
-from model.products import (
+from demflow.model.controls import active_sources, controls, sites
+from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
+from demflow.model.products import (
     Apertures,
     Network,
     Packing,
@@ -29,17 +29,17 @@ from model.products import (
     StressState,
     UnitLoads,
 )
-from model.scene import Bonds, Scene, joint_lines
+from demflow.model.scene import Bonds, Scene, joint_lines
 
 if TYPE_CHECKING:
-    from model.flow.solvers import flow
-    from model.mechanics.packing import pack
-    from model.mechanics.strength import strength
-    from model.mechanics.stress import load as stress
-    from model.mechanics.stress import unit_loads
-    from model.network.apertures import open_pipes as open
-    from model.network.domains import network
-    from model.observe import observe
+    from demflow.model.flow.solvers.registry import flow
+    from demflow.model.mechanics.loading.strength import strength
+    from demflow.model.mechanics.loading.stress import load as stress
+    from demflow.model.mechanics.loading.stress import unit_loads
+    from demflow.model.mechanics.packing.packing import pack
+    from demflow.model.network.apertures import open_pipes as open
+    from demflow.model.network.domains import network
+    from demflow.model.observe import observe
 
 __all__ = [
     "STAGES",
@@ -80,7 +80,7 @@ def __getattr__(name: str) -> Any:
     for stage in STAGES:
         if stage.name == name:
             return stage.run
-    raise AttributeError(f"module 'model.stages' has no attribute {name!r}")
+    raise AttributeError(f"module 'demflow.model.stages' has no attribute {name!r}")
 
 
 def _needs_permeability(scene: Scene) -> bool:
@@ -134,7 +134,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
-        function="model.mechanics.packing:pack",
+        function="demflow.model.mechanics.packing.packing:pack",
         version=6,
         parents=(),
         reads={
@@ -158,7 +158,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="unit_loads",
-        function="model.mechanics.stress:unit_loads",
+        function="demflow.model.mechanics.loading.stress:unit_loads",
         version=5,
         parents=("pack",),
         reads={
@@ -171,7 +171,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="stress",
-        function="model.mechanics.stress:load",
+        function="demflow.model.mechanics.loading.stress:load",
         version=9,
         parents=("pack", "unit_loads"),
         reads={
@@ -188,7 +188,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="strength",
-        function="model.mechanics.strength:strength",
+        function="demflow.model.mechanics.loading.strength:strength",
         version=5,
         parents=("pack",),
         reads={
@@ -205,7 +205,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="network",
-        function="model.network.domains:network",
+        function="demflow.model.network.domains:network",
         version=1,
         parents=("pack",),
         reads={"region": lambda s: s.region},
@@ -214,7 +214,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="calibrate",
-        function="model.permeability:calibrate",
+        function="demflow.model.permeability:calibrate",
         version=2,
         parents=("network",),
         reads={},
@@ -223,7 +223,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="open",
-        function="model.network.apertures:open_pipes",
+        function="demflow.model.network.apertures:open_pipes",
         version=1,
         parents=("network", "stress", "calibrate"),
         reads={
@@ -237,7 +237,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="measure",
-        function="model.permeability:measure",
+        function="demflow.model.permeability:measure",
         version=2,
         parents=("network", "open"),
         reads={"viscosity": _viscosity},
@@ -246,7 +246,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="flow",
-        function="model.flow.solvers:flow",
+        function="demflow.model.flow.solvers.registry:flow",
         version=13,
         parents=("network", "open"),
         reads=_FLOW_READS,
@@ -255,7 +255,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="reference",
-        function="model.flow.solvers:flow",
+        function="demflow.model.flow.solvers.registry:flow",
         version=8,
         parents=("network", "open"),
         reads={
@@ -270,7 +270,7 @@ STAGES: tuple[Stage, ...] = (
     ),
     Stage(
         name="observe",
-        function="model.observe:observe",
+        function="demflow.model.observe:observe",
         version=5,
         parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={

@@ -10,21 +10,27 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sweep.engine import run
-    from sweep.results import open_case, open_results
-    from sweep.study import load_study
+    from demflow.sweep.dataset.open import open_case, open_results
+    from demflow.sweep.engine import run
+    from demflow.sweep.study.load import load_study
 
 __all__ = ["load_study", "open_case", "open_results", "run"]
 
 _HOMES = {
-    "load_study": "sweep.study",
-    "open_case": "sweep.results",
-    "open_results": "sweep.results",
-    "run": "sweep.engine",
+    "load_study": "demflow.sweep.study.load",
+    "open_case": "demflow.sweep.dataset.open",
+    "open_results": "demflow.sweep.dataset.open",
+    "run": "demflow.sweep.engine",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(import_module(_HOMES[name]), name)
-    raise AttributeError(f"module 'sweep' has no attribute {name!r}")
+    raise AttributeError(f"module 'demflow.sweep' has no attribute {name!r}")
+
+
+if __name__ == "sweep":
+    from demflow.checkout import alias
+
+    alias("sweep")

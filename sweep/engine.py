@@ -15,24 +15,26 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sweep.durable import naming, write_durably
-from sweep.errors import ResultsError
-from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected
-from sweep.heritage import inherited, note
-from sweep.limits import in_force
-from sweep.lock import FolderLock
-from sweep.memory import peak_memory
-from sweep.prepared import DATASET_FILE, STUDY_FILE, Prepared, prepare
-from sweep.progress import Progress
-from sweep.schedule import Schedule
-from sweep.stages import MODEL, Status
-from sweep.store import StoreError
+from demflow.model.outcome import Status
+from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
+from demflow.sweep.errors import ResultsError
+from demflow.sweep.execution.limits import in_force
+from demflow.sweep.execution.memory import peak_memory
+from demflow.sweep.execution.progress import Progress
+from demflow.sweep.execution.schedule import Schedule
+from demflow.sweep.plan.graph import MODEL
+from demflow.sweep.prepared import Prepared, prepare
+from demflow.sweep.store.durable import naming, write_durably
+from demflow.sweep.store.inherited import inherited, note
+from demflow.sweep.store.lock import FolderLock
+from demflow.sweep.store.products import StoreError
+from demflow.sweep.study.expect import BOUNDED, beyond_bounds, ends_as_expected
 
 if TYPE_CHECKING:
     import xarray as xr
 
-    from sweep.dataset.verdict import Verdict
-    from sweep.ledger import Executed
+    from demflow.sweep.dataset.verdict import Verdict
+    from demflow.sweep.execution.ledger import Executed
 
 REPORT_FILE = "report.html"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
@@ -170,7 +172,7 @@ def run(
     Warns with a `RunWarning` of cases that did not end as the study expects, and of what the
     command line tells beside its results.
     """
-    from sweep.results import open_results
+    from demflow.sweep.dataset.open import open_results
 
     finished = run_study(
         path,
@@ -223,9 +225,9 @@ def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finis
     if not again and report.exists():
         there = tuple(sorted((folder / "figures").glob("*")))
         return replace(finished, figures=there, report=report)
-    from sweep.figures import write_figures
-    from sweep.report import write_report
-    from sweep.results import open_results
+    from demflow.sweep.dataset.open import open_results
+    from demflow.sweep.figures import write_figures
+    from demflow.sweep.report import write_report
 
     with naming(folder):
         dataset = open_results(folder)
@@ -248,7 +250,7 @@ def as_expected(prepared: Prepared, verdicts: list[Verdict]) -> np.ndarray:
     )
     bounded = [p for p in promised if any(getattr(p, name) is not None for name in BOUNDED)]
     if bounded and (prepared.folder / DATASET_FILE).exists():
-        from sweep.results import open_results
+        from demflow.sweep.dataset.open import open_results
 
         dataset = open_results(prepared.folder)
         numbers = {
@@ -291,7 +293,7 @@ def _execute(
     if not schedule.pending:
         return None
     # Dask is imported only where something must run
-    from sweep.execute import execute
+    from demflow.sweep.execution.loop import execute
 
     try:
         return execute(
@@ -384,8 +386,8 @@ def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
     The study file is kept beside it, so that a case can be opened without the original.
     """
     # netCDF and xarray are imported only where they are needed
-    from sweep.collect import collect
-    from sweep.dataset.file import collected_digest
+    from demflow.sweep.dataset.collect import collect
+    from demflow.sweep.dataset.file import collected_digest
 
     study, plan = prepared.study, prepared.plan
     verdicts = prepared.verdicts()

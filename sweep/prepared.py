@@ -11,22 +11,21 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from model.parameters import SceneError
-from sweep.cost import Costs
-from sweep.limits import in_force
-from sweep.memory import available
-from sweep.plan import Plan, make_plan
-from sweep.scenes import SceneBuilder
-from sweep.stages import MODEL, Status, stage_table
-from sweep.store import Store
-from sweep.study import Limits, Study, load_study
+from demflow.model.outcome import Status
+from demflow.model.parameters import SceneError
+from demflow.sweep.execution.limits import in_force
+from demflow.sweep.execution.memory import available
+from demflow.sweep.plan.graph import MODEL, Plan, make_plan, stage_table
+from demflow.sweep.store.costs import Costs
+from demflow.sweep.store.products import Store
+from demflow.sweep.study.load import Limits, Study, load_study
+from demflow.sweep.study.scenes import SceneBuilder
 
 if TYPE_CHECKING:
-    from model.scene import Scene
-    from sweep.dataset.verdict import Verdict
+    from demflow.model.scene import Scene
+    from demflow.sweep.dataset.verdict import Verdict
 
 MORE = 1.25  # times the memory that was short, from which on a case is tried again
-STUDY_FILE, DATASET_FILE = "study.yaml", "dataset.nc"
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,7 @@ class Prepared:
 
     def verdicts(self) -> list[Verdict]:
         """How each case stands, (cases,)."""
-        from sweep.dataset.verdict import verdict
+        from demflow.sweep.dataset.verdict import verdict
 
         stored = self.stored()
         every = range(len(self.plan.cases))

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.controls import sites
-from model.flow import elimination
-from model.flow.problem import Answer, Problem
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS
-from model.region import Rectangle
-from model.scene import Trace, Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Answer, Problem
+from demflow.model.flow.linear import elimination
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.region import Rectangle
+from demflow.model.scene import Trace, Well
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
 

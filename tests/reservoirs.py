@@ -6,16 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.controls import Controls, sites
-from model.flow.sites import WellSite
-from model.flow.solvers import flow
-from model.flow.system import System, assemble
-from model.network.apertures import open_pipes
-from model.network.domains import network
-from model.observe import observe_flow
-from model.products import Apertures, Network, Packing, Permeability, Responses
-from model.region import Region
-from model.scene import Fracture, Matrix, Probe, Well
+from demflow.model.controls import Controls, sites
+from demflow.model.flow.equation.sites import WellSite
+from demflow.model.flow.equation.system import System, assemble
+from demflow.model.flow.solvers.registry import flow
+from demflow.model.network.apertures import open_pipes
+from demflow.model.network.domains import network
+from demflow.model.observe import observe_flow
+from demflow.model.products import Apertures, Network, Packing, Permeability, Responses
+from demflow.model.region import Region
+from demflow.model.scene import Fracture, Matrix, Probe, Well
 
 
 class Reservoir(NamedTuple):

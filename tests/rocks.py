@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.spatial import Delaunay
 
-from model.products import Packing
+from demflow.model.products import Packing
 
 
 def packing_of(x, y, radius, pairs) -> Packing:

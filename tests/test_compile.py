@@ -9,7 +9,7 @@ from pathlib import Path
 MODEL = Path(__file__).parents[1] / "model"
 
 LAW = """
-from model.compile import kernel
+from demflow.model.compile import kernel
 
 @kernel
 def law(x):
@@ -17,8 +17,8 @@ def law(x):
 """
 
 CALLER = """
-from model.compile import kernel
-from model.law import law
+from demflow.model.compile import kernel
+from demflow.model.law import law
 
 @kernel
 def caller(x):
@@ -36,7 +36,7 @@ def slowly(self, overloads):
     save(self, overloads)
 
 caching.IndexDataCacheFile._save_index = slowly
-from model.caller import caller
+from demflow.model.caller import caller
 print("ready", flush=True)
 sys.stdin.readline()
 assert caller(eval(sys.argv[1])) == 2 * eval(sys.argv[1])

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.controls import Controls, controls, sites, step_sizes, superpose
-from model.flow.explicit import step_limit
-from model.observe import observe_flow
-from model.region import Circle, Rectangle
-from model.scene import Fluid, Grains, Matrix, Probe, Scene, Solver, Well
+from demflow.model.controls import Controls, controls, sites, step_sizes, superpose
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.observe import observe_flow
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import Fluid, Grains, Matrix, Probe, Scene, Solver, Well
 from tests.reservoirs import reservoir
 from tests.rocks import square_lattice
 

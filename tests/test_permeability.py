@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.analytic import lattice as closed_form
-from model.network.apertures import pipe_conductance, uniform
-from model.network.domains import network
-from model.outcome import ModelError
-from model.permeability import permeability, unit_permeability
-from model.region import Circle, Polygon, Rectangle
-from model.scene import Trace
+from demflow.model.analytic import lattice as closed_form
+from demflow.model.network.apertures import pipe_conductance, uniform
+from demflow.model.network.domains import network
+from demflow.model.outcome import ModelError
+from demflow.model.permeability import permeability, unit_permeability
+from demflow.model.region import Circle, Polygon, Rectangle
+from demflow.model.scene import Trace
 from tests.reservoirs import reservoir
 from tests.rocks import hexagonal_lattice, packing_of, random_graph, square_lattice
 

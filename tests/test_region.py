@@ -7,8 +7,8 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from model.parameters import SceneError
-from model.region import (
+from demflow.model.parameters import SceneError
+from demflow.model.region import (
     Circle,
     Polygon,
     Rectangle,
@@ -17,7 +17,7 @@ from model.region import (
     contains,
     exit_point,
 )
-from model.region import distance_to_rim as rim_distance
+from demflow.model.region import distance_to_rim as rim_distance
 
 STAR = Polygon(((-0.9, -0.8), (0.1, -0.3), (1.0, -0.9), (0.4, 0.1), (0.8, 1.0), (-0.2, 0.3)))
 REGIONS = [Rectangle(1.4, 2.0), Circle(0.8), STAR]

@@ -6,10 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from model import scene as parts
-from model.parameters import SceneError
-from model.region import Circle, Rectangle
-from model.scene import (
+from demflow.model import scene as parts
+from demflow.model.parameters import SceneError
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import (
     MEASURED_BY_A_TEST,
     OBSERVABLES,
     BiWing,

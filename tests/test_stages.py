@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-import model
-from model import stages
-from model.maps import case_maps
-from model.outcome import ModelError
-from model.quantities import CASE, MAPS, TESTS
-from model.region import Circle, Polygon, Rectangle
-from model.scene import (
+from demflow import model
+from demflow.model import stages
+from demflow.model.maps import case_maps
+from demflow.model.outcome import ModelError
+from demflow.model.quantities import CASE, MAPS, TESTS
+from demflow.model.region import Circle, Polygon, Rectangle
+from demflow.model.scene import (
     MEASURED_BY_A_TEST,
     OBSERVABLES,
     BiWing,
@@ -32,7 +32,7 @@ from model.scene import (
     Trace,
     Well,
 )
-from model.stages import STAGES, run_stages, simulate
+from demflow.model.stages import STAGES, run_stages, simulate
 
 BY_NAME = {stage.name: stage for stage in STAGES}
 OBSERVED = tuple(name for name in OBSERVABLES if name not in MEASURED_BY_A_TEST)

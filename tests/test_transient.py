@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.transient import SMOOTHING, bourdet_derivative, flow_periods, pressure_change
+from demflow.model.transient import SMOOTHING, bourdet_derivative, flow_periods, pressure_change
 
 
 @given(

@@ -13,11 +13,11 @@ import qdldl
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from model.controls import sites
-from model.flow.balance import steady_flow
-from model.flow.factor import analyse, factorise
-from model.flow.system import System
-from sweep.figures.style import BLACK, BLUE, VERMILION, house_style, new_figure, save
+from demflow.model.controls import sites
+from demflow.model.flow.equation.balance import steady_flow
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.linear.factor import analyse, factorise
+from demflow.sweep.figures.style import BLACK, BLUE, VERMILION, house_style, new_figure, save
 from tests.benchmarks.contrasts import WELL, cut, pores, reference
 
 CONTRASTS = np.logspace(0, 14, 15)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.special import exp1, ive, j0, j1, y0, y1
 
-from model.analytic.laplace import Transform, invert
+from demflow.model.analytic.laplace import Transform, invert
 
 # In units of (R_De − 1)². From the first on, Eq. 29 needs no more than 32 terms (the next is
 # below e^(−31.5² π² 0.01) = 1e-42); up to the second the boundary is not felt at all (what

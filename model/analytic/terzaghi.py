@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.analytic.linear import linear_dimensionless_pressure
+from demflow.model.analytic.linear import linear_dimensionless_pressure
 
 
 def excess_pressure(z_D: ArrayLike, T_v: ArrayLike) -> np.ndarray:

@@ -11,8 +11,8 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from model.analytic.laplace import Transform, invert
-from model.analytic.radial import bounded_transform, unbounded_transform
+from demflow.model.analytic.laplace import Transform, invert
+from demflow.model.analytic.radial import bounded_transform, unbounded_transform
 
 
 def with_storage_and_skin(transform: Transform, C_D: float, skin: float) -> Transform:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.network.traces import Chain, chain_along, pipes_across
-from model.outcome import ModelError
-from model.products import Apertures, Network, Permeability, StressState
-from model.region import Region
-from model.scene import Fracture, Line, Matrix, lines_of
+from demflow.model.network.traces import Chain, chain_along, pipes_across
+from demflow.model.outcome import ModelError
+from demflow.model.products import Apertures, Network, Permeability, StressState
+from demflow.model.region import Region
+from demflow.model.scene import Fracture, Line, Matrix, lines_of
 
 
 def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: float) -> np.ndarray:

@@ -7,8 +7,8 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from model.network.connectivity import component_labels
-from model.network.faces import (
+from demflow.model.network.connectivity import component_labels
+from demflow.model.network.faces import (
     crossing_pairs,
     locate,
     measure_faces,
@@ -16,9 +16,9 @@ from model.network.faces import (
     prune,
     walk_faces,
 )
-from model.outcome import ModelError
-from model.products import Network, Packing
-from model.region import Circle, Region, contains, exit_point
+from demflow.model.outcome import ModelError
+from demflow.model.products import Network, Packing
+from demflow.model.region import Circle, Region, contains, exit_point
 
 # A domain keeps at least this part of the mean pore volume: overlapping grains can leave
 # none, and the explicit step shrinks with the smallest.

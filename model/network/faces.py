@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.compile import kernel
+from demflow.model.compile import kernel
 
 
 @kernel

@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.compile import kernel
-from model.products import Network
-from model.scene import Line
+from demflow.model.compile import kernel
+from demflow.model.products import Network
+from demflow.model.scene import Line
 
 # Places along a trace are kept apart by this part of their mean distance: two contacts of
 # one grain can meet the line at the same point.

@@ -6,13 +6,21 @@ positive in compression, rates positive when a well produces. The model is two
 dimensional with unit depth: rates are m³/s for one metre of rock.
 """
 
-from model.parameters import SceneError
-from model.region import Circle, Polygon, Rectangle, Region
-from model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
-from model.scene.flow import LEAST_TOLERANCE, Fluid, InitialField, Matrix, Probe, Solver, Well
-from model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
-from model.scene.lines import JointLine, Line, joint_lines, lines_of
-from model.scene.rock import Bonds, FailureTest, Grains, Stress
+from demflow.model.parameters import SceneError
+from demflow.model.region import Circle, Polygon, Rectangle, Region
+from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
+from demflow.model.scene.flow import (
+    LEAST_TOLERANCE,
+    Fluid,
+    InitialField,
+    Matrix,
+    Probe,
+    Solver,
+    Well,
+)
+from demflow.model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
+from demflow.model.scene.lines import JointLine, Line, joint_lines, lines_of
+from demflow.model.scene.rock import Bonds, FailureTest, Grains, Stress
 
 __all__ = [
     "LEAST_TOLERANCE",

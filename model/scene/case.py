@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from model.parameters import SceneError, check_fields, parameter
-from model.region import Region, clip_segment, contains, distance_to_rim
-from model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
-from model.scene.fractures import BiWing, Fracture, FractureSet
-from model.scene.rock import Bonds, FailureTest, Grains, Stress
+from demflow.model.parameters import SceneError, check_fields, parameter
+from demflow.model.region import Region, clip_segment, contains, distance_to_rim
+from demflow.model.scene.flow import Fluid, InitialField, Matrix, Probe, Solver, Well
+from demflow.model.scene.fractures import BiWing, Fracture, FractureSet
+from demflow.model.scene.rock import Bonds, FailureTest, Grains, Stress
 
 __all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "Scene"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from model.parameters import SceneError, check_fields, parameter
+from demflow.model.parameters import SceneError, check_fields, parameter
 
 __all__ = ["LEAST_TOLERANCE", "Fluid", "InitialField", "Matrix", "Probe", "Solver", "Well"]
 

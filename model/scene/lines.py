@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.region import Region, bounding_box, clip_segment, contains
-from model.scene.fractures import Fracture, FractureSet, Joint
+from demflow.model.region import Region, bounding_box, clip_segment, contains
+from demflow.model.scene.fractures import Fracture, FractureSet, Joint
 
 __all__ = ["JointLine", "Line", "joint_lines", "lines_of"]
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from model.outcome import Status
-from sweep.units import parse_unit
+from demflow.model.outcome import Status
+from demflow.sweep.study.units import parse_unit
 
 Index = dict[str, int]  # axis -> position
 

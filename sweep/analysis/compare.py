@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from model.region import Circle, Rectangle
-from model.scene import Fluid, Scene
-from sweep.analysis.cases import Index, case_title, done
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import Fluid, Scene
+from demflow.sweep.analysis.cases import Index, case_title, done
 
 SceneOf = Callable[[Index], Scene]  # the scene of a case
 MapsOf = Callable[[Index], xr.Dataset]  # the maps of a case

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from model.analytic.linear import linear_pressure
-from model.scene import Rectangle, Scene
-from sweep.analysis.cases import case_title
-from sweep.analysis.compare import (
+from demflow.model.analytic.linear import linear_pressure
+from demflow.model.scene import Rectangle, Scene
+from demflow.sweep.analysis.cases import case_title
+from demflow.sweep.analysis.compare import (
     MapsOf,
     SceneOf,
     bin_means,
@@ -21,7 +21,7 @@ from sweep.analysis.compare import (
     spread,
     stacked,
 )
-from sweep.analysis.table import Table, table
+from demflow.sweep.analysis.table import Table, table
 
 BINS = 15
 

@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import xarray as xr
 
-from model.analytic.radial import radial_dimensionless_pressure
-from model.analytic.wells import thiem_pressure_fall
-from model.scene import Circle
-from sweep.analysis.cases import case_title
-from sweep.analysis.compare import (
+from demflow.model.analytic.radial import radial_dimensionless_pressure
+from demflow.model.analytic.wells import thiem_pressure_fall
+from demflow.model.scene import Circle
+from demflow.sweep.analysis.cases import case_title
+from demflow.sweep.analysis.compare import (
     MapsOf,
     SceneOf,
     bin_means,
@@ -22,7 +22,7 @@ from sweep.analysis.compare import (
     spread,
     stacked,
 )
-from sweep.analysis.table import Table, table
+from demflow.sweep.analysis.table import Table, table
 
 BINS = 15
 

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 
-from model.transient import bourdet_derivative
+from demflow.model.transient import bourdet_derivative
 
 SLOPES = {"unit slope": 1.0, "linear": 0.5, "bilinear": 0.25, "radial": 0.0}
 SLOPE_TOLERANCE = 0.05

@@ -12,13 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from model.outcome import Status
-from sweep.analysis.cases import axes
-from sweep.analysis.compare import MapsOf, SceneOf, comparison_problem
-from sweep.analysis.linear_flow import compare_linear
-from sweep.analysis.radial_flow import compare_radial
-from sweep.analysis.table import Table, table
-from sweep.study import Study
+from demflow.model.outcome import Status
+from demflow.sweep.analysis.cases import axes
+from demflow.sweep.analysis.compare import MapsOf, SceneOf, comparison_problem
+from demflow.sweep.analysis.linear_flow import compare_linear
+from demflow.sweep.analysis.radial_flow import compare_radial
+from demflow.sweep.analysis.table import Table, table
+from demflow.sweep.study.load import Study
 
 
 class Roles(NamedTuple):

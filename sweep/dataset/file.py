@@ -11,7 +11,7 @@ from pathlib import Path
 
 import netCDF4
 
-from sweep.durable import naming, rename_durably, write_durably
+from demflow.sweep.store.durable import naming, rename_durably, write_durably
 
 PROBE_BYTES = 1_000_000  # written to find why the library could not write
 

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.quantities import Quantity
-from model.scene import Scene
-from sweep.plan import Plan
+from demflow.model.quantities import Quantity
+from demflow.model.scene import Scene
+from demflow.sweep.plan.graph import Plan
 
 CONVENTIONS = "CF-1.11"
 FIXED = {"row": ("x", "y"), "column": ("x", "y"), "component": ("xx", "yy", "xy")}

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from sweep.plan import Plan
-from sweep.store import DamagedError, MissingError, Store
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.store.products import DamagedError, MissingError, Store
 
 
 @dataclass

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sweep.plan import Plan
-from sweep.stages import Status
-from sweep.store import Store
+from demflow.model.outcome import Status
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.store.products import Store
 
 
 @dataclass(frozen=True)

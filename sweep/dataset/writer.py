@@ -10,15 +10,15 @@ from datetime import UTC, datetime
 import netCDF4
 import numpy as np
 
-from model.quantities import CASE, COORDINATES, SWEEP, Quantity
-from sweep.cases import Coordinate, coordinates
-from sweep.dataset.labels import CONVENTIONS, FIXED, Labels, Layout, quantity_attributes
-from sweep.dataset.tiles import Tile
-from sweep.dataset.verdict import Verdict
-from sweep.plan import Plan
-from sweep.stages import Status
-from sweep.study import Study
-from sweep.versions import installed
+from demflow.model.outcome import Status
+from demflow.model.quantities import CASE, COORDINATES, SWEEP, Quantity
+from demflow.sweep.dataset.labels import CONVENTIONS, FIXED, Labels, Layout, quantity_attributes
+from demflow.sweep.dataset.tiles import Tile
+from demflow.sweep.dataset.verdict import Verdict
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.store.versions import installed
+from demflow.sweep.study.cases import Coordinate, coordinates
+from demflow.sweep.study.load import Study
 
 TEXT = str  # netCDF-4 strings
 

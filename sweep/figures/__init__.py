@@ -9,26 +9,26 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from model.outcome import Status
-from model.scene import Scene, Well
-from sweep.analysis.cases import Index, axes, case_title
-from sweep.analysis.compare import MapsOf, SceneOf
-from sweep.analysis.linear_flow import compare_linear, linear_tables
-from sweep.analysis.radial_flow import compare_radial, radial_tables
-from sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
-from sweep.analysis.table import Table
-from sweep.cases import case_at
-from sweep.figures.comparisons import draw_linear, draw_radial
-from sweep.figures.failure import draw_failure
-from sweep.figures.horner import draw_horner
-from sweep.figures.maps import draw_maps
-from sweep.figures.permeability import draw_permeability
-from sweep.figures.speed import draw_speed
-from sweep.figures.strength import draw_strength
-from sweep.figures.style import house_style
-from sweep.figures.wells import draw_well
-from sweep.results import open_case
-from sweep.study import Study
+from demflow.model.outcome import Status
+from demflow.model.scene import Scene, Well
+from demflow.sweep.analysis.cases import Index, axes, case_title
+from demflow.sweep.analysis.compare import MapsOf, SceneOf
+from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
+from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
+from demflow.sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
+from demflow.sweep.analysis.table import Table
+from demflow.sweep.dataset.open import open_case
+from demflow.sweep.figures.comparisons import draw_linear, draw_radial
+from demflow.sweep.figures.failure import draw_failure
+from demflow.sweep.figures.horner import draw_horner
+from demflow.sweep.figures.maps import draw_maps
+from demflow.sweep.figures.permeability import draw_permeability
+from demflow.sweep.figures.speed import draw_speed
+from demflow.sweep.figures.strength import draw_strength
+from demflow.sweep.figures.style import house_style
+from demflow.sweep.figures.wells import draw_well
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import Study
 
 __all__ = ["write_figures"]
 

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from model.analytic.linear import linear_pressure
-from model.analytic.radial import radial_dimensionless_pressure
-from sweep.analysis.cases import plain_number
-from sweep.analysis.linear_flow import LinearComparison
-from sweep.analysis.radial_flow import RadialComparison
-from sweep.figures.style import BLACK, GREY, VERMILION, new_figure, pick, save, sequence
+from demflow.model.analytic.linear import linear_pressure
+from demflow.model.analytic.radial import radial_dimensionless_pressure
+from demflow.sweep.analysis.cases import plain_number
+from demflow.sweep.analysis.linear_flow import LinearComparison
+from demflow.sweep.analysis.radial_flow import RadialComparison
+from demflow.sweep.figures.style import BLACK, GREY, VERMILION, new_figure, pick, save, sequence
 
 MOST_TIMES = 8
 

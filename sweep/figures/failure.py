@@ -10,11 +10,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 
-from model.outcome import Status
-from model.scene import MEASURED_BY_A_TEST
-from sweep.analysis.cases import Index, axes, axis_title, axis_value, display
-from sweep.analysis.compare import MapsOf
-from sweep.figures.style import BLACK, BLUE, GREY, VERMILION, new_figure, save, sequence
+from demflow.model.outcome import Status
+from demflow.model.scene import MEASURED_BY_A_TEST
+from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display
+from demflow.sweep.analysis.compare import MapsOf
+from demflow.sweep.figures.style import BLACK, BLUE, GREY, VERMILION, new_figure, save, sequence
 
 MOST_CURVES = 6  # values of the axis whose curves are drawn
 HEIGHT = 3.6  # inches of a specimen

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from model.analytic.wellbore import horner_time
-from model.outcome import Status
-from model.scene import Well
-from sweep.analysis.cases import axes, axis_title, axis_value, display
-from sweep.figures.style import LINE_STYLES, new_figure, pick, save, shades
-from sweep.figures.wells import WellOf
+from demflow.model.analytic.wellbore import horner_time
+from demflow.model.outcome import Status
+from demflow.model.scene import Well
+from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.figures.style import LINE_STYLES, new_figure, pick, save, shades
+from demflow.sweep.figures.wells import WellOf
 
 _MOST = (5, 3)  # values shown by colour and by line style
 

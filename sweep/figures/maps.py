@@ -15,10 +15,10 @@ from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as PolygonPatch
 from matplotlib.patheffects import withStroke
 
-from model.region import Circle, bounding_box, contains
-from model.scene import Fracture, Scene, lines_of
-from sweep.analysis.cases import display, with_unit
-from sweep.figures.style import BLACK, SEQUENTIAL, VERMILION, label, new_figure, save
+from demflow.model.region import Circle, bounding_box, contains
+from demflow.model.scene import Fracture, Scene, lines_of
+from demflow.sweep.analysis.cases import display, with_unit
+from demflow.sweep.figures.style import BLACK, SEQUENTIAL, VERMILION, label, new_figure, save
 
 MOST_GRAINS = 3000  # with more, grains are too small to be seen
 CLIP = (1.0, 99.0)  # percentiles at which the colours end, so that a well does not take them all

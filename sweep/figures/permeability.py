@@ -10,8 +10,8 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from sweep.analysis.cases import axes, axis_title, axis_value, display
-from sweep.figures.style import (
+from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.figures.style import (
     BLUE,
     GREY,
     VERMILION,

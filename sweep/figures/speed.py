@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from sweep.analysis.cases import plain_number
-from sweep.analysis.speed import Ladder, SpeedError
-from sweep.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILION, new_figure, save
+from demflow.sweep.analysis.cases import plain_number
+from demflow.sweep.analysis.speed import Ladder, SpeedError
+from demflow.sweep.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILION, new_figure, save
 
 _COLOURS = {"explicit": VERMILION, "implicit": BLUE, "krylov": BLACK}
 _MARKERS = {"explicit": "s", "implicit": "o", "krylov": "D"}

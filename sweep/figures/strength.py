@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from matplotlib.ticker import MaxNLocator
 
-from model.scene import MEASURED_BY_A_TEST
-from sweep.analysis.cases import axes, axis_title, display
-from sweep.figures.style import BLUE, new_figure, save
+from demflow.model.scene import MEASURED_BY_A_TEST
+from demflow.sweep.analysis.cases import axes, axis_title, display
+from demflow.sweep.figures.style import BLUE, new_figure, save
 
 
 def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path | None:

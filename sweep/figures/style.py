@@ -15,8 +15,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from model.quantities import CASE, COORDINATES, MAPS, TESTS
-from sweep.analysis.cases import display, plain_number
+from demflow.model.quantities import CASE, COORDINATES, MAPS, TESTS
+from demflow.sweep.analysis.cases import display, plain_number
 
 DPI = 130
 

@@ -12,11 +12,11 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from model.outcome import Status
-from model.scene import Well
-from model.transient import SMOOTHING, flow_periods
-from sweep.analysis.cases import Index, axes, axis_title, axis_value, display
-from sweep.figures.style import (
+from demflow.model.outcome import Status
+from demflow.model.scene import Well
+from demflow.model.transient import SMOOTHING, flow_periods
+from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display
+from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
     LINE_STYLES,

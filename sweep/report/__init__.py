@@ -9,10 +9,10 @@ from string import Template
 
 import xarray as xr
 
-from sweep.report.html import escape
-from sweep.report.promises import promises
-from sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
-from sweep.study import Study
+from demflow.sweep.report.html import escape
+from demflow.sweep.report.promises import promises
+from demflow.sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
+from demflow.sweep.study.load import Study
 
 __all__ = ["write_report"]
 
@@ -34,7 +34,7 @@ def write_report(
     -------
     Path of the page.
     """
-    package = files("sweep.report")
+    package = files("demflow.sweep.report")
     page = Template((package / "page.html").read_text(encoding="utf-8")).substitute(
         style=(package / "page.css").read_text(encoding="utf-8"),
         title=escape(study.title),

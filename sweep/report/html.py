@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from html import escape as _escape
 from pathlib import Path
 
-from sweep.analysis.cases import plain_number
+from demflow.sweep.analysis.cases import plain_number
 
 __all__ = ["data_uri", "escape", "grid"]
 

@@ -8,11 +8,11 @@ from html import escape
 import numpy as np
 import xarray as xr
 
-from model.outcome import Status
-from sweep.analysis.cases import Index, axes, case_title
-from sweep.expect import BOUNDED, beyond_bounds, ends_as_expected, in_words
-from sweep.report.html import grid
-from sweep.study import Study
+from demflow.model.outcome import Status
+from demflow.sweep.analysis.cases import Index, axes, case_title
+from demflow.sweep.report.html import grid
+from demflow.sweep.study.expect import BOUNDED, beyond_bounds, ends_as_expected, in_words
+from demflow.sweep.study.load import Study
 
 MANY = 60  # cases from which the table is folded, but for those that came out otherwise
 

@@ -10,9 +10,9 @@ import numpy as np
 import xarray as xr
 from PIL import Image
 
-from model.outcome import Status
-from model.quantities import CASE
-from sweep.analysis.cases import (
+from demflow.model.outcome import Status
+from demflow.model.quantities import CASE
+from demflow.sweep.analysis.cases import (
     Index,
     axes,
     axis_title,
@@ -21,9 +21,9 @@ from sweep.analysis.cases import (
     display,
     plain_number,
 )
-from sweep.analysis.permeability import principal_permeability
-from sweep.report.html import data_uri, escape, grid
-from sweep.study import Study
+from demflow.sweep.analysis.permeability import principal_permeability
+from demflow.sweep.report.html import data_uri, escape, grid
+from demflow.sweep.study.load import Study
 
 MOST_FAILURES = 50  # listed one by one
 MANY_FAILURES = 12  # more are folded

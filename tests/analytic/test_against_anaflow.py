@@ -6,7 +6,11 @@ AnaFlow inverts by Stehfest's method, which is right to some four digits.
 import numpy as np
 import pytest
 
-from model.analytic.radial import finite_radius_well, line_source, radial_dimensionless_pressure
+from demflow.model.analytic.radial import (
+    finite_radius_well,
+    line_source,
+    radial_dimensionless_pressure,
+)
 from tests.peers.pressures import ANAFLOW
 
 

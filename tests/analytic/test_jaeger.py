@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from model.analytic.jaeger import jaeger_strength, mobilised_friction
+from demflow.model.analytic.jaeger import jaeger_strength, mobilised_friction
 
 FRICTION, COHESION, CONFINING = np.tan(np.radians(25.0)), 2e6, 5e6
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from model.analytic import lattice
+from demflow.model.analytic import lattice
 
 
 def conductivity(bonds, conductance, cell_area):

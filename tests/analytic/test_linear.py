@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.analytic.linear import linear_dimensionless_pressure, linear_pressure
-from model.analytic.terzaghi import consolidation_degree, excess_pressure
+from demflow.model.analytic.linear import linear_dimensionless_pressure, linear_pressure
+from demflow.model.analytic.terzaghi import consolidation_degree, excess_pressure
 
 PAPER_TIMES = [0.00484, 0.01931, 0.04823, 0.10608, 0.22178, 1.08951]
 unit = st.floats(0, 1)

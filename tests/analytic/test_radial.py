@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_bvp
 from scipy.special import j0, j1, y0, y1
 
-from model.analytic.laplace import invert
-from model.analytic.radial import (
+from demflow.model.analytic.laplace import invert
+from demflow.model.analytic.radial import (
     finite_radius_well,
     line_source,
     radial_dimensionless_pressure,
     radial_roots,
 )
-from model.analytic.wells import closed_circle_pseudo_steady, thiem_pressure_fall
+from demflow.model.analytic.wells import closed_circle_pseudo_steady, thiem_pressure_fall
 
 R_DE = 14.26
 TABLE_5 = """

@@ -8,15 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from model.analytic.fractures import (
+from demflow.model.analytic.fractures import (
     bilinear_flow,
     infinite_conductivity_fracture,
     uniform_flux_fracture,
 )
-from model.analytic.radial import finite_radius_well, line_source, radial_dimensionless_pressure
-from model.analytic.terzaghi import consolidation_degree, drainage_rate
-from model.analytic.wellbore import horner_time, well_with_storage_and_skin
-from model.analytic.wells import doublet_pressure_fall, tunnel_inflow
+from demflow.model.analytic.radial import (
+    finite_radius_well,
+    line_source,
+    radial_dimensionless_pressure,
+)
+from demflow.model.analytic.terzaghi import consolidation_degree, drainage_rate
+from demflow.model.analytic.wellbore import horner_time, well_with_storage_and_skin
+from demflow.model.analytic.wells import doublet_pressure_fall, tunnel_inflow
 
 
 @pytest.mark.parametrize("R_De", [3.0, 14.26, 500.0])
@@ -110,7 +114,7 @@ def test_fractures_are_given_on_themselves_alone():
 
 def test_bilinear_flow_solves_its_own_equation():
     """F_CD d²p/dx² = −(fluid from the rock); in Laplace space p̄ = π/(F_CD s √(2√s/F_CD))."""
-    from model.analytic.laplace import invert
+    from demflow.model.analytic.laplace import invert
 
     F_CD, t = 3.0, np.geomspace(1e-6, 1e-2, 5)
     fall = invert(lambda s: math.pi / (F_CD * s * np.sqrt(2 * np.sqrt(s) / F_CD)), t)

@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.controls import sites
-from model.flow.choice import course
-from model.flow.errors import time_error
-from model.flow.explicit import step_limit
-from model.flow.problem import Answer, Problem
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS, lags, solve
-from model.scene import Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Answer, Problem
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.forecast import course
+from demflow.model.flow.solvers.registry import SOLVERS, lags, solve
+from demflow.model.flow.solvers.time_error import time_error
+from demflow.model.scene import Well
 from tests.benchmarks.result import Result
 from tests.diffusion import seconds, well_problem
 

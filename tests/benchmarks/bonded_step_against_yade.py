@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from model.scene import Bonds
+from demflow.model.scene import Bonds
 from tests.benchmarks.result import Result
 from tests.benchmarks.steps import against_yade
 

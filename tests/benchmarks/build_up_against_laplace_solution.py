@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 
-from model.analytic.wellbore import horner_time, well_with_storage_and_skin
-from model.region import Circle
-from model.scene import Scene
+from demflow.model.analytic.wellbore import horner_time, well_with_storage_and_skin
+from demflow.model.region import Circle
+from demflow.model.scene import Scene
 from tests.benchmarks.ran import ran
 from tests.benchmarks.result import Result
 

@@ -29,8 +29,8 @@ GRIDS = "tests.benchmarks.grids:STAGES"
 
 _COLLECT = """
 import json, resource, sys, time
-from sweep.collect import collect
-from sweep.prepared import prepare
+from demflow.sweep.dataset.collect import collect
+from demflow.sweep.prepared import prepare
 prepared = prepare(sys.argv[1], sys.argv[2], table=sys.argv[3])
 verdicts = prepared.verdicts()
 begin = time.perf_counter()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.controls import sites
-from model.flow.balance import STAGNANT, steady_flow
-from model.flow.factor import analyse, factorise, solve
+from demflow.model.controls import sites
+from demflow.model.flow.equation.balance import STAGNANT, steady_flow
+from demflow.model.flow.linear.factor import analyse, factorise, solve
 from tests.benchmarks.contrasts import SIDES, WELL, cut, pores, reference, residual
 from tests.benchmarks.result import Result
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.flow.system import System
-from model.network.apertures import open_pipes
-from model.network.domains import network
-from model.products import Network
-from model.region import Rectangle
-from model.scene import Matrix, Trace, Well
+from demflow.model.flow.equation.system import System
+from demflow.model.network.apertures import open_pipes
+from demflow.model.network.domains import network
+from demflow.model.products import Network
+from demflow.model.region import Rectangle
+from demflow.model.scene import Matrix, Trace, Well
 from tests.diffusion import DOMAINS_PER_GRAIN
 from tests.reservoirs import Reservoir
 from tests.rocks import random_graph

@@ -11,11 +11,11 @@ import time
 
 import numpy as np
 
-from model.mechanics.compaction import hydrostatic
-from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
-from model.mechanics.grains import Array, at_rest, scaled_mass
-from model.mechanics.stress import DAMPING, path_between
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import Array, at_rest, scaled_mass
+from demflow.model.mechanics.loading.stress import DAMPING, path_between
+from demflow.model.mechanics.motion.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
+from demflow.model.mechanics.packing.compaction import hydrostatic
 from tests.benchmarks.result import Result
 from tests.benchmarks.steps import rock
 from tests.peers.yade import run_in_yade

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-from model.flow.algebraic import algebraic
-from model.flow.explicit import step_limit
-from model.flow.problem import Problem
-from model.flow.solvers import SOLVERS
-from model.flow.stencil import stencil
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.equation.problem import Problem
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.flow.solvers.stencil import stencil
 from tests.benchmarks.result import Result
 from tests.diffusion import seconds, well_problem
 

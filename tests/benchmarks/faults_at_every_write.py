@@ -32,9 +32,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import sweep
-from sweep.results import open_results
-from sweep.upkeep import verify
+from demflow import sweep
+from demflow.sweep.command.upkeep import verify
+from demflow.sweep.dataset.open import open_results
 from tests.benchmarks.ran import STUDIES, results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import differing
@@ -52,9 +52,9 @@ KINDS = {
 # one process that has imported everything, from which each run is forked
 _RUNS = """
 import os, sys
-from sweep import cli
+from demflow.sweep.command import cli
 from tests.sweep import toys
-import netCDF4, psutil, sweep.collect, sweep.execute, sweep.figures, sweep.report
+import netCDF4, psutil, sweep.dataset.collect, sweep.execution.loop, sweep.figures, sweep.report
 for line in sys.stdin:
     command, study, results, log = line.split()
     pid = os.fork()

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.mechanics import stress as stage
-from model.mechanics.equilibrium import Stop
-from model.mechanics.measures import listed
-from model.mechanics.rock import specimen_of
-from model.products import Packing
+from demflow.model.mechanics.loading import stress as stage
+from demflow.model.mechanics.motion.equilibrium import Stop
+from demflow.model.mechanics.specimen.measures import listed
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.products import Packing
 from tests.benchmarks.result import Result, at_most
 from tests.benchmarks.specimens import CONTACTS, packed
 

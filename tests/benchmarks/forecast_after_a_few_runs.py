@@ -13,8 +13,8 @@ import os
 from pathlib import Path
 from unittest import mock
 
-from sweep.cost import Costs
-from sweep.store import Store
+from demflow.sweep.store.costs import Costs
+from demflow.sweep.store.products import Store
 from tests import cache
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from model.maps import case_maps
-from model.stages import run_stages
-from sweep.cases import case_at
-from sweep.study import load_study
+from demflow.model.maps import case_maps
+from demflow.model.stages import run_stages
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import load_study
 from tests.benchmarks.ran import STUDIES
 from tests.benchmarks.result import Result
 

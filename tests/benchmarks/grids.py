@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from model.scene import Scene
-from model.stages import Stage
+from demflow.model.scene import Scene
+from demflow.model.stages import Stage
 
 PROBES, TIMES = 20, 200
 

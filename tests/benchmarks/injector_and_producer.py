@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.analytic.wells import doublet_pressure_fall
-from model.region import Circle
+from demflow.model.analytic.wells import doublet_pressure_fall
+from demflow.model.region import Circle
 from tests.benchmarks.ran import ran
 from tests.benchmarks.result import Result
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.analytic.jaeger import jaeger_strength, mobilised_friction
-from model.products import Packing
-from model.region import Rectangle
-from model.scene import Bonds, FailureTest, Joint, JointLine
-from model.stages import pack, strength
+from demflow.model.analytic.jaeger import jaeger_strength, mobilised_friction
+from demflow.model.products import Packing
+from demflow.model.region import Rectangle
+from demflow.model.scene import Bonds, FailureTest, Joint, JointLine
+from demflow.model.stages import pack, strength
 from tests.benchmarks.result import Result
 
 BONDS = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)

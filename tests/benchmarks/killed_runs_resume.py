@@ -17,8 +17,8 @@ from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 
-from sweep.results import open_results
-from sweep.upkeep import verify
+from demflow.sweep.command.upkeep import verify
+from demflow.sweep.dataset.open import open_results
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import differing

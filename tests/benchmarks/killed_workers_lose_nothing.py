@@ -14,7 +14,7 @@ import time
 
 import psutil
 
-from sweep.results import open_results
+from demflow.sweep.dataset.open import open_results
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import differing

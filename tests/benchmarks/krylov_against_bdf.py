@@ -8,8 +8,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.sparse import coo_array, csc_matrix, csr_array, diags_array
 
-from model.flow.algebraic import algebraic
-from model.flow.problem import Problem
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.equation.problem import Problem
 from tests.benchmarks.result import Result
 from tests.diffusion import Timed, cheapest, reference, relative_error, well_problem
 

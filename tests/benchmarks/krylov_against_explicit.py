@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.flow.problem import Problem
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS
-from model.flow.system import assemble
-from model.stages import run_stages
-from sweep import load_study
-from sweep.cases import case_at
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Problem
+from demflow.model.flow.equation.system import assemble
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.stages import run_stages
+from demflow.sweep import load_study
+from demflow.sweep.study.cases import case_at
 from tests.benchmarks.ran import STUDIES
 from tests.benchmarks.result import Result
 from tests.diffusion import seconds

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import statistics
 
-from model.mechanics.moduli import in_plane_strain
-from model.outcome import ModelError
-from model.products import Packing, StrengthTest
-from model.region import Rectangle
-from model.scene import Bonds, FailureTest
-from model.stages import pack, strength
+from demflow.model.mechanics.static.moduli import in_plane_strain
+from demflow.model.outcome import ModelError
+from demflow.model.products import Packing, StrengthTest
+from demflow.model.region import Rectangle
+from demflow.model.scene import Bonds, FailureTest
+from demflow.model.stages import pack, strength
 from tests.benchmarks.result import Result
 
 BONDS = Bonds(

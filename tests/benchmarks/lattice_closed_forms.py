@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from model import simulate
-from model.scene import Circle, Fluid, Grains, Matrix, Polygon, Rectangle, Scene
+from demflow.model import simulate
+from demflow.model.scene import Circle, Fluid, Grains, Matrix, Polygon, Rectangle, Scene
 from tests.benchmarks.result import Result, at_most
 
 APERTURE = 2e-5

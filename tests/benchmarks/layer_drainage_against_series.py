@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.analytic.terzaghi import drainage_rate, excess_pressure
-from model.region import Rectangle
+from demflow.model.analytic.terzaghi import drainage_rate, excess_pressure
+from demflow.model.region import Rectangle
 from tests.benchmarks.ran import ran
 from tests.benchmarks.result import Result
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sweep.analysis.linear_flow import compare_linear
+from demflow.sweep.analysis.linear_flow import compare_linear
 from tests.benchmarks.ran import ran
 from tests.benchmarks.result import Result
 

@@ -33,7 +33,13 @@ def listening(pid: int) -> set[str]:
 
 def watched(name: str, *options: str) -> tuple[set[str], int]:
     """Addresses on which a run and its workers listen until it ends, and its exit status."""
-    command = [sys.executable, "-m", "sweep.cli", "run", str(STUDIES / "quickstart.yaml")]
+    command = [
+        sys.executable,
+        "-m",
+        "demflow",
+        "run",
+        str(STUDIES / "quickstart.yaml"),
+    ]
     run_process = subprocess.Popen(
         [*command, *options, "--results", str(results_folder() / f"sockets_{name}")],
         stdout=subprocess.DEVNULL,

@@ -11,7 +11,7 @@ import json
 from collections import Counter
 from pathlib import Path
 
-from sweep.store import Store
+from demflow.sweep.store.products import Store
 from tests.benchmarks.result import Result
 from tests.benchmarks.sweeps import ANGLES, RATES, four_axes, timed_command, timed_run
 

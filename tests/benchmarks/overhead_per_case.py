@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import subprocess
 
-from sweep.store import Store
+from demflow.sweep.store.products import Store
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.sweeps import TOYS, timed_run

@@ -34,8 +34,8 @@ print(json.dumps([told["cases"], peak, (told["memory"] or 0.0) / 1e6]))
 """
 _RUN = """
 import json, resource, sys
-from sweep.engine import run_study
-from sweep.prepared import prepare
+from demflow.sweep.engine import run_study
+from demflow.sweep.prepared import prepare
 from tests.sweep import toys
 done = run_study(sys.argv[1], results=sys.argv[2], table=toys.TABLE, figures=False)
 peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3

@@ -15,9 +15,9 @@ import shutil
 from collections import Counter
 from pathlib import Path
 
-from sweep.engine import Finished, run_study
-from sweep.results import open_results
-from sweep.stages import Status
+from demflow.model.outcome import Status
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.engine import Finished, run_study
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.sweep import toy_stages, toys

@@ -14,7 +14,13 @@ from tests.benchmarks.result import Result
 def timed(folder: str) -> tuple[float, str]:
     """Seconds and messages of one run as a whole process."""
     start = time.perf_counter()
-    command = [sys.executable, "-m", "sweep.cli", "run", str(STUDIES / "quickstart.yaml")]
+    command = [
+        sys.executable,
+        "-m",
+        "demflow",
+        "run",
+        str(STUDIES / "quickstart.yaml"),
+    ]
     done = subprocess.run(
         [*command, "--workers", "2", "--results", folder],
         capture_output=True,

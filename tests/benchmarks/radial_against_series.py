@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.analytic.radial import radial_roots
-from sweep.analysis.radial_flow import compare_radial
+from demflow.model.analytic.radial import radial_roots
+from demflow.sweep.analysis.radial_flow import compare_radial
 from tests.benchmarks.ran import ran
 from tests.benchmarks.result import Result
 

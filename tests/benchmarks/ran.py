@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import xarray as xr
 
-import sweep
-from model.scene import Scene
-from sweep.cases import case_at
-from sweep.study import Study
+from demflow import sweep
+from demflow.model.scene import Scene
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import Study
 
 STUDIES = Path(__file__).parents[2] / "studies"
 

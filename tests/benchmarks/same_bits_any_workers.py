@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
-import sweep
-from model.quantities import SWEEP
+from demflow import sweep
+from demflow.model.quantities import SWEEP
 from tests.benchmarks.ran import STUDIES, ran, results_folder
 from tests.benchmarks.result import Result
 

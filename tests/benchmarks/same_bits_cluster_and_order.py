@@ -6,7 +6,7 @@ The study is small and runs all kinds of stages. The cluster is `dask scheduler`
 
 from __future__ import annotations
 
-import sweep
+from demflow import sweep
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import MEASURED, differing

@@ -11,10 +11,10 @@ import time
 
 import numpy as np
 
-from model.scene import Scene
-from sweep.cases import case_at
-from sweep.stages import stage_table
-from sweep.study import load_study
+from demflow.model.scene import Scene
+from demflow.sweep.plan.graph import stage_table
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import load_study
 from tests.benchmarks.result import Result
 from tests.benchmarks.sweeps import four_axes, four_hundred_cases
 

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import scipy.linalg
 
-from model.controls import sites
-from model.flow.solvers import SOLVERS
-from model.flow.system import System, assemble
-from model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Trace, Well
-from model.stages import run_stages
+from demflow.model.controls import sites
+from demflow.model.flow.equation.system import System, assemble
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Trace, Well
+from demflow.model.stages import run_stages
 from tests.benchmarks.result import Result
 
 TIMES = tuple(np.geomspace(20.0, 2e5, 25))

@@ -7,10 +7,10 @@ from functools import cache
 
 import numpy as np
 
-from model.products import Packing, StressState, UnitLoads
-from model.region import Rectangle
-from model.scene import Bonds, Stress
-from model.stages import pack, stress, unit_loads
+from demflow.model.products import Packing, StressState, UnitLoads
+from demflow.model.region import Rectangle
+from demflow.model.scene import Bonds, Stress
+from demflow.model.stages import pack, stress, unit_loads
 
 CONTACTS = {"normal_stiffness": 40e9, "stiffness_ratio": 2.5, "friction": 0.5}  # E_c = 40 GPa
 STRENGTHS = {"tensile_strength": 60e6, "shear_strength": 120e6}

@@ -12,9 +12,9 @@ import psutil
 import qdldl
 from scipy.sparse import coo_array, csc_array
 
-from model.flow.problem import Problem
-from model.flow.solvers import SOLVERS
-from model.flow.system import System
+from demflow.model.flow.equation.problem import Problem
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.solvers.registry import SOLVERS
 from tests.benchmarks.result import Result
 from tests.diffusion import well_problem
 

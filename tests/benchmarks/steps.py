@@ -7,13 +7,13 @@ from functools import cache
 
 import numpy as np
 
-from model.mechanics.equilibrium import NEVER, Specimen
-from model.mechanics.packing import pack
-from model.mechanics.rock import specimen_of
-from model.mechanics.stress import DAMPING, straight_path
-from model.products import Packing
-from model.region import Rectangle
-from model.scene import Bonds
+from demflow.model.mechanics.loading.stress import DAMPING, straight_path
+from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.products import Packing
+from demflow.model.region import Rectangle
+from demflow.model.scene import Bonds
 from tests.benchmarks.result import Result
 from tests.peers.yade import PeerMissingError, run_in_yade
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from model.scene import Bonds, Stress
+from demflow.model.scene import Bonds, Stress
 from tests.benchmarks.result import Result, at_most
 from tests.benchmarks.specimens import CEMENTS, loaded, packed
 

@@ -15,12 +15,12 @@ import statistics
 
 import numpy as np
 
-from model.mechanics.backbone import carrying, contacts_of
-from model.mechanics.rock import specimen_of
-from model.mechanics.stiffness import ANCHOR, matrix
-from model.outcome import ModelError
-from model.products import StressState
-from model.scene import Stress
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.static.load_carrying import carrying, contacts_of
+from demflow.model.mechanics.static.stiffness import ANCHOR, matrix
+from demflow.model.outcome import ModelError
+from demflow.model.products import StressState
+from demflow.model.scene import Stress
 from tests.benchmarks.result import Result
 from tests.benchmarks.specimens import CEMENTS, CONTACTS, difference, loaded, packed, responses
 

@@ -54,7 +54,7 @@ class Took(NamedTuple):
 
 _CHILD = """
 import json, sys, time
-from sweep.engine import run_study
+from demflow.sweep.engine import run_study
 options = json.loads(sys.argv[1])
 begin = time.perf_counter()
 done = run_study(figures=False, **options)
@@ -79,7 +79,7 @@ def timed_command(*arguments: str) -> tuple[float, str]:
     """Seconds that `demflow …` takes, from the shell's view, and what it prints to stdout."""
     begin = time.perf_counter()
     done = subprocess.run(
-        [sys.executable, "-m", "sweep.cli", *arguments],
+        [sys.executable, "-m", "demflow", *arguments],
         cwd=ROOT,
         check=True,
         stdout=subprocess.PIPE,

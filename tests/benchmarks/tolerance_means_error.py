@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from model.controls import sites, superpose
-from model.flow.problem import Answer, Problem
-from model.flow.solvers import SOLVERS, lags
-from model.scene import Well
-from model.transient import flow_periods, pressure_change
+from demflow.model.controls import sites, superpose
+from demflow.model.flow.equation.problem import Answer, Problem
+from demflow.model.flow.solvers.registry import SOLVERS, lags
+from demflow.model.scene import Well
+from demflow.model.transient import flow_periods, pressure_change
 from tests.benchmarks.result import Result
 from tests.diffusion import EXACT, well_problem
 

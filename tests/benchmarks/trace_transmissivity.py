@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from model import simulate
-from model.scene import Fluid, Grains, Matrix, Rectangle, Scene, Trace
+from demflow.model import simulate
+from demflow.model.scene import Fluid, Grains, Matrix, Rectangle, Scene, Trace
 from tests.benchmarks.result import Result
 
 APERTURE, VISCOSITY, TRACES = 1e-4, 1e-3, 40

@@ -17,9 +17,9 @@ from pathlib import Path
 
 import numpy as np
 
-from model.flow.factor import analyse, factorise, solve
-from model.flow.problem import Problem
-from model.flow.solvers import SOLVERS
+from demflow.model.flow.equation.problem import Problem
+from demflow.model.flow.linear.factor import analyse, factorise, solve
+from demflow.model.flow.solvers.registry import SOLVERS
 from tests.benchmarks.result import Result
 from tests.diffusion import relative_error, well_pressure, well_problem
 

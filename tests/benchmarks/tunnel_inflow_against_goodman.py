@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from model.analytic.wells import tunnel_inflow
-from model.region import Rectangle
-from model.scene import Scene
+from demflow.model.analytic.wells import tunnel_inflow
+from demflow.model.region import Rectangle
+from demflow.model.scene import Scene
 from tests.benchmarks.ran import ran
 from tests.benchmarks.result import Result
 

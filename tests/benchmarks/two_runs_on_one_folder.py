@@ -12,7 +12,7 @@ import random
 import shutil
 import time
 
-from sweep.results import open_results
+from demflow.sweep.dataset.open import open_results
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.same_bits_any_workers import differing

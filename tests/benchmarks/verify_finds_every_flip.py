@@ -11,8 +11,8 @@ import random
 import shutil
 from pathlib import Path
 
-from sweep.store import unpack
-from sweep.upkeep import verify
+from demflow.sweep.command.upkeep import verify
+from demflow.sweep.store.products import unpack
 from tests.benchmarks.ran import results_folder
 from tests.benchmarks.result import Result
 from tests.benchmarks.sweeps import TOYS, timed_run

@@ -13,10 +13,10 @@ import time
 from pathlib import Path
 from typing import NamedTuple
 
-from model.outcome import ModelError
-from model.products import StressState
-from model.scene import Bonds, Stress
-from sweep.figures.style import BLACK, BLUE, GREY, VERMILION, house_style, new_figure, save
+from demflow.model.outcome import ModelError
+from demflow.model.products import StressState
+from demflow.model.scene import Bonds, Stress
+from demflow.sweep.figures.style import BLACK, BLUE, GREY, VERMILION, house_style, new_figure, save
 from tests.benchmarks.result import Result
 from tests.benchmarks.specimens import CEMENTS, difference, loaded, packed, responses
 

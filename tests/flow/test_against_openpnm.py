@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from model.flow.solvers import SOLVERS
+from demflow.model.flow.solvers.registry import SOLVERS
 from tests.peers.pressures import OPENPNM, ours, system
 
 

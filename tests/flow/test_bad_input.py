@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from model.controls import sites
-from model.flow.solvers import SOLVERS, flow
-from model.outcome import ModelError
-from model.region import Rectangle
-from model.scene import Solver, Trace, Well
+from demflow.model.controls import sites
+from demflow.model.flow.solvers.registry import SOLVERS, flow
+from demflow.model.outcome import ModelError
+from demflow.model.region import Rectangle
+from demflow.model.scene import Solver, Trace, Well
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
 

@@ -5,16 +5,16 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from model.flow import balance as balance_module
-from model.flow import implicit as implicit_module
-from model.flow import subspace as subspace_module
-from model.flow.balance import steady_flow, transient_misfit
-from model.flow.factor import analyse, factorise, solve
-from model.flow.system import System
-from model.network.apertures import open_pipes
-from model.network.domains import network
-from model.region import Rectangle
-from model.scene import Matrix, Trace, Well
+from demflow.model.flow.equation import balance as balance_module
+from demflow.model.flow.equation.balance import steady_flow, transient_misfit
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.linear.factor import analyse, factorise, solve
+from demflow.model.flow.solvers import implicit as implicit_module
+from demflow.model.flow.solvers import subspace as subspace_module
+from demflow.model.network.apertures import open_pipes
+from demflow.model.network.domains import network
+from demflow.model.region import Rectangle
+from demflow.model.scene import Matrix, Trace, Well
 from tests.flow.test_factor import eliminate, random_graph
 from tests.reservoirs import Reservoir
 from tests.rocks import random_graph as random_rock

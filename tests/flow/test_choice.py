@@ -5,15 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from model.controls import sites
-from model.flow.choice import course, euler_error
-from model.flow.errors import time_error
-from model.flow.explicit import step_limit
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS, choose, solve
-from model.outcome import ModelError
-from model.region import Rectangle
-from model.scene import Probe, Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.forecast import course, euler_error
+from demflow.model.flow.solvers.registry import SOLVERS, choose, solve
+from demflow.model.flow.solvers.time_error import time_error
+from demflow.model.outcome import ModelError
+from demflow.model.region import Rectangle
+from demflow.model.scene import Probe, Well
 from tests.diffusion import reference, relative_error, well_pressure, well_problem
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
@@ -154,7 +154,7 @@ def test_maps_and_probes_that_are_looked_at_keep_the_tolerance(seed):
 
 
 def test_where_the_choice_fails_the_next_one_answers(monkeypatch):
-    from model.flow import krylov as krylov_module
+    from demflow.model.flow.solvers import krylov as krylov_module
 
     plain, _ = solve("auto", PROBLEM)
     assert plain.method == "krylov"
@@ -167,9 +167,9 @@ def test_where_the_choice_fails_the_next_one_answers(monkeypatch):
 
 
 def test_where_no_choice_answers_the_first_one_is_heard(monkeypatch):
-    from model.flow import explicit as explicit_module
-    from model.flow import implicit as implicit_module
-    from model.flow import krylov as krylov_module
+    from demflow.model.flow.solvers import explicit as explicit_module
+    from demflow.model.flow.solvers import implicit as implicit_module
+    from demflow.model.flow.solvers import krylov as krylov_module
 
     monkeypatch.setattr(krylov_module, "MOST_VECTORS", 4)
     monkeypatch.setattr(implicit_module, "MOST_STEPS", 3)

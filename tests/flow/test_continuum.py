@@ -11,22 +11,22 @@ import math
 import numpy as np
 import pytest
 
-from model.analytic.fractures import (
+from demflow.model.analytic.fractures import (
     bilinear_flow,
     infinite_conductivity_fracture,
     uniform_flux_fracture,
 )
-from model.analytic.lattice import (
+from demflow.model.analytic.lattice import (
     HEXAGONAL_POROSITY,
     SQUARE_POROSITY,
     hexagonal_permeability,
     square_permeability,
 )
-from model.analytic.linear import linear_dimensionless_pressure
-from model.analytic.radial import line_source, radial_dimensionless_pressure
-from model.analytic.wells import closed_circle_pseudo_steady
-from model.region import Circle, Rectangle
-from model.scene import BiWing, Probe, Trace, Well
+from demflow.model.analytic.linear import linear_dimensionless_pressure
+from demflow.model.analytic.radial import line_source, radial_dimensionless_pressure
+from demflow.model.analytic.wells import closed_circle_pseudo_steady
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import BiWing, Probe, Trace, Well
 from tests.reservoirs import reservoir
 from tests.rocks import hexagonal_lattice, square_lattice
 

@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.flow.elimination import analyse, analyse_anew, column_counts
-from model.flow.factor import factorise
-from model.flow.graph import graph_of, inverse, renumbered
-from model.flow.ordering import minimum_degree
-from model.memory import limited
-from model.outcome import OutOfMemory
+from demflow.model.flow.linear.elimination import analyse, analyse_anew, column_counts
+from demflow.model.flow.linear.factor import factorise
+from demflow.model.flow.linear.graph import graph_of, inverse, renumbered
+from demflow.model.flow.linear.ordering import minimum_degree
+from demflow.model.memory import limited
+from demflow.model.outcome import OutOfMemory
 from tests.flow.test_factor import random_graph
 
 

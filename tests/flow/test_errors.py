@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from model.flow.errors import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
-from model.flow.explicit import step_limit
-from model.flow.solvers import SOLVERS
-from model.region import Rectangle
-from model.scene import Well
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE, time_error
+from demflow.model.region import Rectangle
+from demflow.model.scene import Well
 from tests.diffusion import relative_error, well_pressure, well_problem
 from tests.reservoirs import exact_response, reservoir
 from tests.rocks import square_lattice

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.flow.factor import analyse, factorise, solve
+from demflow.model.flow.linear.factor import analyse, factorise, solve
 
 
 def random_graph(rng, n, extra):

@@ -5,16 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from model.controls import sites
-from model.flow import explicit as explicit_module
-from model.flow.explicit import paper_step, step_limit
-from model.flow.problem import Problem
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS, lags
-from model.network.apertures import transmissivity
-from model.outcome import ModelError
-from model.region import Circle, Rectangle
-from model.scene import Probe, Trace, Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Problem
+from demflow.model.flow.solvers import explicit as explicit_module
+from demflow.model.flow.solvers.explicit import paper_step, step_limit
+from demflow.model.flow.solvers.registry import SOLVERS, lags
+from demflow.model.network.apertures import transmissivity
+from demflow.model.outcome import ModelError
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import Probe, Trace, Well
 from tests.reservoirs import dense_matrices, exact_response, reservoir
 from tests.rocks import random_graph, square_lattice
 
@@ -355,7 +355,7 @@ def test_changes_that_round_off_parts_from_a_time_cost_nothing():
 
 
 def test_krylov_says_so_when_it_does_not_converge(monkeypatch):
-    from model.flow import krylov as krylov_module
+    from demflow.model.flow.solvers import krylov as krylov_module
 
     monkeypatch.setattr(krylov_module, "MOST_VECTORS", 4)
     with pytest.raises(ModelError, match="tolerance"):

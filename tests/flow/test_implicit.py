@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from model.flow import implicit as implicit_module
-from model.flow.algebraic import algebraic
-from model.flow.implicit import (
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.solvers import implicit as implicit_module
+from demflow.model.flow.solvers.implicit import (
     EMBEDDED,
     GAMMA,
     RUNGS_PER_OCTAVE,
@@ -17,7 +17,7 @@ from model.flow.implicit import (
     take_step,
     weights_at,
 )
-from model.outcome import ModelError
+from demflow.model.outcome import ModelError
 from tests.diffusion import reference, relative_error, well_pressure, well_problem
 from tests.reservoirs import dense_matrices, exact_response
 

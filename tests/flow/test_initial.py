@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from model.controls import Controls, active_sources, controls, sites
-from model.flow.explicit import step_limit
-from model.flow.initial import STARTS
-from model.flow.solvers import SOLVERS, flow
-from model.observe import observe_flow, pressure_map
-from model.outcome import ModelError
-from model.region import Circle, Rectangle
-from model.scene import (
+from demflow.model.controls import Controls, active_sources, controls, sites
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.initial import STARTS
+from demflow.model.flow.solvers.registry import SOLVERS, flow
+from demflow.model.observe import observe_flow, pressure_map
+from demflow.model.outcome import ModelError
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import (
     Fluid,
     Grains,
     InitialField,

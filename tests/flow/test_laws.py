@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from model.flow.explicit import step_limit
-from model.flow.problem import Answer, Problem
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS
-from model.flow.system import System
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Answer, Problem
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.registry import SOLVERS
 from tests.reservoirs import dense_matrices
 
 every = pytest.mark.parametrize("method", SOLVERS)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from model.flow.explicit import step_limit
-from model.flow.solvers import SOLVERS
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.registry import SOLVERS
 from tests.diffusion import well_problem
 
 CONTROLLED = [name for name, s in SOLVERS.items() if s.transient and s.controls_error]

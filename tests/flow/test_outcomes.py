@@ -6,16 +6,16 @@ import numpy as np
 import pytest
 from scipy.sparse.linalg import ArpackNoConvergence
 
-from model import memory
-from model.flow import explicit as explicit_module
-from model.flow import subspace as subspace_module
-from model.flow.algebraic import algebraic
-from model.flow.explicit import _in_words, fastest_decay, step_limit
-from model.flow.factor import analyse, factorise
-from model.flow.solvers import SOLVERS
-from model.outcome import ModelError, OutOfMemory
-from model.region import Rectangle
-from model.scene import LEAST_TOLERANCE, Well
+from demflow.model import memory
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.linear.factor import analyse, factorise
+from demflow.model.flow.solvers import explicit as explicit_module
+from demflow.model.flow.solvers import subspace as subspace_module
+from demflow.model.flow.solvers.explicit import _in_words, fastest_decay, step_limit
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.outcome import ModelError, OutOfMemory
+from demflow.model.region import Rectangle
+from demflow.model.scene import LEAST_TOLERANCE, Well
 from tests.diffusion import reference, relative_error, well_pressure, well_problem
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph

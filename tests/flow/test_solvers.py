@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from model.controls import sites
-from model.flow.explicit import step_limit
-from model.flow.solvers import SOLVERS, flow
-from model.network.domains import domains_at
-from model.outcome import ModelError
-from model.region import Circle, Rectangle
-from model.scene import Probe, Trace, Well
+from demflow.model.controls import sites
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.registry import SOLVERS, flow
+from demflow.model.network.domains import domains_at
+from demflow.model.outcome import ModelError
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import Probe, Trace, Well
 from tests.reservoirs import dense_matrices, exact_response, reservoir
 from tests.rocks import packing_of, random_graph
 

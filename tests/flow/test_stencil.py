@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from model.controls import sites
-from model.flow import stencil as module
-from model.flow.algebraic import algebraic
-from model.flow.explicit import step_limit
-from model.flow.stencil import driven, march, stencil
-from model.region import Rectangle
-from model.scene import Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.solvers import stencil as module
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.stencil import driven, march, stencil
+from demflow.model.region import Rectangle
+from demflow.model.scene import Well
 from tests.reservoirs import dense_matrices, reservoir
 from tests.rocks import random_graph
 

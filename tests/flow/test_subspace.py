@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from model.flow.algebraic import algebraic
-from model.flow.factor import analyse, factorise
-from model.flow.subspace import Subspace
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.linear.factor import analyse, factorise
+from demflow.model.flow.solvers.subspace import Subspace
 from tests.diffusion import well_problem
 from tests.reservoirs import dense_matrices
 

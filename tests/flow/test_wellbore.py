@@ -5,14 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from model.analytic.wellbore import well_with_storage_and_skin
-from model.controls import sites
-from model.flow.explicit import step_limit
-from model.flow.solvers import SOLVERS
-from model.outcome import ModelError
-from model.permeability import permeability
-from model.region import Circle, Rectangle
-from model.scene import SceneError, Trace, Well
+from demflow.model.analytic.wellbore import well_with_storage_and_skin
+from demflow.model.controls import sites
+from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.outcome import ModelError
+from demflow.model.permeability import permeability
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import SceneError, Trace, Well
 from tests.reservoirs import exact_response, reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
 

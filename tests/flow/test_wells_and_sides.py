@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from model.controls import sites
-from model.flow.solvers import SOLVERS
-from model.flow.wells import WELL_FLOOR
-from model.outcome import ModelError
-from model.permeability import permeability
-from model.region import Circle, Polygon, Rectangle
-from model.scene import BiWing, Probe, Trace, Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.wells import WELL_FLOOR
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.outcome import ModelError
+from demflow.model.permeability import permeability
+from demflow.model.region import Circle, Polygon, Rectangle
+from demflow.model.scene import BiWing, Probe, Trace, Well
 from tests.reservoirs import dense_matrices, reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
 

@@ -4,9 +4,9 @@ from functools import cache
 
 import numpy as np
 
-from model.mechanics.packing import pack
-from model.products import Packing
-from model.region import Circle, Rectangle
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.products import Packing
+from demflow.model.region import Circle, Rectangle
 
 REGIONS = {"square": Rectangle(2.0, 2.0), "disc": Circle(1.0), "slab": Rectangle(3.0, 1.0)}
 

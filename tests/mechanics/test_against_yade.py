@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from model.products import Packing
+from demflow.model.products import Packing
 from tests.peers.grain_forces import CASES, DATA, Forces, difference, forces_of
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from model.mechanics.bonds import (
+from demflow.model.mechanics.contact.bonds import (
     BROKEN_IN_SHEAR,
     BROKEN_IN_TENSION,
     INTACT,
@@ -12,13 +12,13 @@ from model.mechanics.bonds import (
     load_parallel_bond,
     strengths,
 )
-from model.mechanics.contacts import ContactLaw, Sums, contact_forces
-from model.mechanics.equilibrium import NEVER, Specimen
-from model.mechanics.grains import at_rest
-from model.mechanics.joints import no_joints
-from model.mechanics.neighbours import Pairs
-from model.mechanics.records import broken
-from model.mechanics.servo import STANDING
+from demflow.model.mechanics.contact.contacts import ContactLaw, Sums, contact_forces
+from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.joints import no_joints
+from demflow.model.mechanics.contact.neighbours import Pairs
+from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
+from demflow.model.mechanics.motion.servo import STANDING
+from demflow.model.mechanics.specimen.records import broken
 
 FAR = np.array([-1e3, 1e3, -1e3, 1e3])
 

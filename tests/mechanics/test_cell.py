@@ -3,20 +3,20 @@
 import numpy as np
 import pytest
 
-from model.mechanics.cell import Cell
-from model.mechanics.compaction import attempt, hydrostatic
-from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import AT_REST, FIRE, NEVER, Stop
-from model.mechanics.grains import at_rest
-from model.mechanics.measures import porosity
-from model.mechanics.packing import pack
-from model.mechanics.servo import STANDING
-from model.mechanics.sizes import sizes_of
-from model.mechanics.targets import by_porosity
-from model.mechanics.tiles import tiled
-from model.outcome import ModelError
-from model.scene import Fluid, Grains, Matrix, Scene
-from model.stages import STAGES, simulate
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.motion.equilibrium import AT_REST, FIRE, NEVER, Stop
+from demflow.model.mechanics.motion.servo import STANDING
+from demflow.model.mechanics.packing.cell import Cell
+from demflow.model.mechanics.packing.compaction import attempt, hydrostatic
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.packing.sizes import sizes_of
+from demflow.model.mechanics.packing.targets import by_porosity
+from demflow.model.mechanics.packing.tiles import tiled
+from demflow.model.mechanics.specimen.measures import porosity
+from demflow.model.outcome import ModelError
+from demflow.model.scene import Fluid, Grains, Matrix, Scene
+from demflow.model.stages import STAGES, simulate
 from tests.mechanics.rocks import REGIONS, net_forces
 
 LAW = sizes_of("uniform", 1.66, None, None)

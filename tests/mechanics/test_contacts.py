@@ -7,15 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.mechanics.blocks import BLOCK
-from model.mechanics.bonds import no_bonds
-from model.mechanics.contacts import ContactLaw, contact_forces
-from model.mechanics.equilibrium import NEVER, OUT_OF_STEPS, Specimen
-from model.mechanics.grains import Grains, at_rest
-from model.mechanics.joints import no_joints
-from model.mechanics.laws import local_damping, normal_force, shear_force, slip, tangential_step
-from model.mechanics.neighbours import find_pairs, no_pairs
-from model.mechanics.servo import STANDING, Servo
+from demflow.model.mechanics.contact.batches import BLOCK
+from demflow.model.mechanics.contact.bonds import no_bonds
+from demflow.model.mechanics.contact.contacts import ContactLaw, contact_forces
+from demflow.model.mechanics.contact.grains import Grains, at_rest
+from demflow.model.mechanics.contact.joints import no_joints
+from demflow.model.mechanics.contact.laws import (
+    local_damping,
+    normal_force,
+    shear_force,
+    slip,
+    tangential_step,
+)
+from demflow.model.mechanics.contact.neighbours import find_pairs, no_pairs
+from demflow.model.mechanics.motion.equilibrium import NEVER, OUT_OF_STEPS, Specimen
+from demflow.model.mechanics.motion.servo import STANDING, Servo
 
 FAR = np.array([-1e3, 1e3, -1e3, 1e3])  # walls that nothing reaches
 

@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from model.mechanics.cut import cut, excavate, gravity, press_on
-from model.mechanics.equilibrium import AT_REST, Specimen, Stop
-from model.mechanics.joints import APART
-from model.mechanics.measures import listed, overlaps
-from model.mechanics.neighbours import JOINED
-from model.mechanics.rock import specimen_of
-from model.mechanics.servo import STANDING
-from model.mechanics.stress import straight_path
-from model.region import Circle, Polygon
-from model.scene import Bonds, Joint, JointLine
+from demflow.model.mechanics.contact.joints import APART
+from demflow.model.mechanics.contact.neighbours import JOINED
+from demflow.model.mechanics.loading.stress import straight_path
+from demflow.model.mechanics.motion.equilibrium import AT_REST, Specimen, Stop
+from demflow.model.mechanics.motion.servo import STANDING
+from demflow.model.mechanics.specimen.cut import cut, excavate, gravity, press_on
+from demflow.model.mechanics.specimen.measures import listed, overlaps
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.region import Circle, Polygon
+from demflow.model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
 
 BONDS = Bonds(kind="parallel", tensile_strength=1e9, shear_strength=1e9)

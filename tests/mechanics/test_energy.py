@@ -3,16 +3,16 @@
 import numpy as np
 import pytest
 
-from model.mechanics.bonds import INTACT
-from model.mechanics.compaction import hydrostatic
-from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import FIRE, NEVER, OUT_OF_STEPS, Specimen
-from model.mechanics.grains import at_rest
-from model.mechanics.joints import Trace
-from model.mechanics.rock import specimen_of
-from model.mechanics.servo import STANDING
-from model.mechanics.stress import straight_path
-from model.scene import Bonds, Joint, JointLine
+from demflow.model.mechanics.contact.bonds import INTACT
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.joints import Trace
+from demflow.model.mechanics.loading.stress import straight_path
+from demflow.model.mechanics.motion.equilibrium import FIRE, NEVER, OUT_OF_STEPS, Specimen
+from demflow.model.mechanics.motion.servo import STANDING
+from demflow.model.mechanics.packing.compaction import hydrostatic
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
 
 KN = 40e9

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
-from model.mechanics.compaction import hydrostatic
-from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import (
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import at_rest, scaled_mass
+from demflow.model.mechanics.loading.strength import strength
+from demflow.model.mechanics.loading.stress import load, specimen_of, unit_loads
+from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
     FIRE,
     NEVER,
@@ -15,14 +17,12 @@ from model.mechanics.equilibrium import (
     Specimen,
     Stop,
 )
-from model.mechanics.grains import at_rest, scaled_mass
-from model.mechanics.measures import listed, overlaps
-from model.mechanics.servo import STANDING, Servo
-from model.mechanics.strength import strength
-from model.mechanics.stress import load, specimen_of, unit_loads
-from model.outcome import ModelError
-from model.parameters import SceneError
-from model.scene import Bonds, FailureTest, Joint, JointLine, Stress
+from demflow.model.mechanics.motion.servo import STANDING, Servo
+from demflow.model.mechanics.packing.compaction import hydrostatic
+from demflow.model.mechanics.specimen.measures import listed, overlaps
+from demflow.model.outcome import ModelError
+from demflow.model.parameters import SceneError
+from demflow.model.scene import Bonds, FailureTest, Joint, JointLine, Stress
 from tests.mechanics.rocks import packed
 
 KN = 40e9

@@ -5,20 +5,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from model.mechanics import static, wall_contacts
-from model.mechanics.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TENSION, INTACT, install
-from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import NEVER, Specimen
-from model.mechanics.grains import at_rest
-from model.mechanics.held import HeldTrial
-from model.mechanics.neighbours import Pairs
-from model.mechanics.rock import cemented, scaled, specimen_of
-from model.mechanics.servo import STANDING
-from model.mechanics.stress import load, unit_loads
-from model.mechanics.trial import TrueTrial
-from model.outcome import ModelError
-from model.products import StressState, UnitLoads
-from model.scene import Bonds, Stress
+from demflow.model.mechanics.contact.bonds import (
+    BROKEN_IN_SHEAR,
+    BROKEN_IN_TENSION,
+    INTACT,
+    install,
+)
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.neighbours import Pairs
+from demflow.model.mechanics.loading.stress import load, unit_loads
+from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
+from demflow.model.mechanics.motion.servo import STANDING
+from demflow.model.mechanics.specimen.rock import cemented, scaled, specimen_of
+from demflow.model.mechanics.static import static, wall_contacts
+from demflow.model.mechanics.static.displaced import TrueTrial
+from demflow.model.mechanics.static.sticking import HeldTrial
+from demflow.model.outcome import ModelError
+from demflow.model.products import StressState, UnitLoads
+from demflow.model.scene import Bonds, Stress
 from tests.mechanics.rocks import net_forces, packed
 
 KN = 40e9

@@ -5,13 +5,13 @@ import re
 import numpy as np
 import pytest
 
-from model.analytic.jaeger import mobilised_friction
-from model.mechanics.packing import pack
-from model.mechanics.strength import strength
-from model.outcome import ModelError
-from model.products import StrengthTest
-from model.region import Rectangle
-from model.scene import Bonds, FailureTest, Joint, JointLine
+from demflow.model.analytic.jaeger import mobilised_friction
+from demflow.model.mechanics.loading.strength import strength
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.outcome import ModelError
+from demflow.model.products import StrengthTest
+from demflow.model.region import Rectangle
+from demflow.model.scene import Bonds, FailureTest, Joint, JointLine
 
 KN, CONFINING, FRICTION = 62e9, 10e6, 20.0
 BONDS = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)

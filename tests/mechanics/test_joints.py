@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from model.mechanics.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TENSION, INTACT
-from model.mechanics.contacts import ContactLaw
-from model.mechanics.equilibrium import NEVER, Specimen
-from model.mechanics.grains import Grains, at_rest, scaled_mass
-from model.mechanics.joints import APART, LOOSE, Trace
-from model.mechanics.rock import specimen_of
-from model.mechanics.servo import STANDING
-from model.mechanics.stress import load
-from model.scene import Bonds, Joint, JointLine, Stress
+from demflow.model.mechanics.contact.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TENSION, INTACT
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import Grains, at_rest, scaled_mass
+from demflow.model.mechanics.contact.joints import APART, LOOSE, Trace
+from demflow.model.mechanics.loading.stress import load
+from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
+from demflow.model.mechanics.motion.servo import STANDING
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.scene import Bonds, Joint, JointLine, Stress
 from tests.mechanics.rocks import net_forces, packed
 
 KN = 40e9

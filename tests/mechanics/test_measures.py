@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from model.mechanics import measures
-from model.mechanics.compaction import attempt
-from model.mechanics.floaters import fit, largest_circle
-from model.mechanics.packing import pack
-from model.mechanics.sizes import sizes_of
-from model.mechanics.targets import PRESSURE, by_porosity
-from model.region import Circle, Polygon
-from model.scene import Bonds
+from demflow.model.mechanics.packing.compaction import attempt
+from demflow.model.mechanics.packing.floaters import fit, largest_circle
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.packing.sizes import sizes_of
+from demflow.model.mechanics.packing.targets import PRESSURE, by_porosity
+from demflow.model.mechanics.specimen import measures
+from demflow.model.region import Circle, Polygon
+from demflow.model.scene import Bonds
 from tests.mechanics.rocks import REGIONS, packed
 from tests.mechanics.test_stress import loaded
 

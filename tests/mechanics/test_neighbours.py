@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.mechanics.grains import along_strips, at_rest
-from model.mechanics.neighbours import find_pairs, no_pairs
+from demflow.model.mechanics.contact.grains import along_strips, at_rest
+from demflow.model.mechanics.contact.neighbours import find_pairs, no_pairs
 
 
 def all_pairs(x, y, radius, skin) -> set[tuple[int, int]]:

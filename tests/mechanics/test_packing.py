@@ -6,14 +6,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from model.mechanics import compaction
-from model.mechanics.measures import packing_quality, porosity
-from model.mechanics.packing import pack
-from model.mechanics.sizes import draw_radii, sizes_of
-from model.mechanics.targets import PRESSURE, by_porosity, find_pressure
-from model.outcome import ModelError
-from model.products import Packing
-from model.region import Polygon, Rectangle, bounding_box, contains
+from demflow.model.mechanics.packing import compaction
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.packing.sizes import draw_radii, sizes_of
+from demflow.model.mechanics.packing.targets import PRESSURE, by_porosity, find_pressure
+from demflow.model.mechanics.specimen.measures import packing_quality, porosity
+from demflow.model.outcome import ModelError
+from demflow.model.products import Packing
+from demflow.model.region import Polygon, Rectangle, bounding_box, contains
 from tests.mechanics.rocks import REGIONS, net_forces, packed, wall_forces
 
 

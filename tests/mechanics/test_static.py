@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.mechanics.backbone import contacts_of
-from model.mechanics.contacts import NO_WALLS, contact_forces
-from model.mechanics.moduli import RIM, elastic_moduli
-from model.mechanics.rock import specimen_of
-from model.mechanics.stiffness import Contacts, factorise, matrix, solve
-from model.mechanics.stress import load, unit_loads
-from model.outcome import ModelError
-from model.scene import Bonds, SceneError, Stress
+from demflow.model.mechanics.contact.contacts import NO_WALLS, contact_forces
+from demflow.model.mechanics.loading.stress import load, unit_loads
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.static.load_carrying import contacts_of
+from demflow.model.mechanics.static.moduli import RIM, elastic_moduli
+from demflow.model.mechanics.static.stiffness import Contacts, factorise, matrix, solve
+from demflow.model.outcome import ModelError
+from demflow.model.scene import Bonds, SceneError, Stress
 from tests.mechanics.rocks import net_forces, packed
 
 KN = 124e9

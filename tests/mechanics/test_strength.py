@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from model.analytic.lattice import hexagonal_elasticity
-from model.mechanics import measures
-from model.mechanics.moduli import in_plane_strain
-from model.mechanics.strength import GAUGE, relieve, strength
-from model.mechanics.stress import load, unit_loads
-from model.outcome import ModelError
-from model.products import Packing, StrengthTest
-from model.scene import Bonds, FailureTest, Joint, JointLine, Stress
+from demflow.model.analytic.lattice import hexagonal_elasticity
+from demflow.model.mechanics.loading.strength import GAUGE, relieve, strength
+from demflow.model.mechanics.loading.stress import load, unit_loads
+from demflow.model.mechanics.specimen import measures
+from demflow.model.mechanics.static.moduli import in_plane_strain
+from demflow.model.outcome import ModelError
+from demflow.model.products import Packing, StrengthTest
+from demflow.model.scene import Bonds, FailureTest, Joint, JointLine, Stress
 from tests.mechanics.rocks import packed
 
 KN = 62e9
@@ -146,10 +146,10 @@ def test_a_membrane_holds_its_stress(rock) -> None:
 
 def test_grains_that_do_not_bear_the_confining_stress_are_told(monkeypatch) -> None:
     """With too few steps nothing is at rest, and no half-loaded specimen is tested."""
-    monkeypatch.setattr("model.mechanics.strength.HOLDING", 10)
+    monkeypatch.setattr("demflow.model.mechanics.loading.strength.HOLDING", 10)
     with pytest.raises(ModelError, match="does not hold the confining stress of 1e"):
         to_failure(packed(0.165, count=400), bonds(), confining_stress=10e6)
-    monkeypatch.setattr("model.mechanics.strength.RELIEVING", 10)
+    monkeypatch.setattr("demflow.model.mechanics.loading.strength.RELIEVING", 10)
     with pytest.raises(ModelError, match="relieved"):
         to_failure(packed(0.165, count=400), bonds(), confining_stress=10e6)
 

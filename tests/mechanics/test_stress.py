@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from model.mechanics.stress import load
-from model.outcome import ModelError
-from model.products import Packing, StressState
-from model.scene import Bonds, Stress
+from demflow.model.mechanics.loading.stress import load
+from demflow.model.outcome import ModelError
+from demflow.model.products import Packing, StressState
+from demflow.model.scene import Bonds, Stress
 from tests.mechanics.rocks import net_forces, packed, wall_forces
 
 KN = 40e9  # grains of 20 GPa

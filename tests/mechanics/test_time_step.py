@@ -5,12 +5,12 @@ import pytest
 from scipy.sparse import diags_array
 from scipy.sparse.linalg import eigsh
 
-from model.mechanics.backbone import contacts_of
-from model.mechanics.equilibrium import Specimen
-from model.mechanics.rock import specimen_of
-from model.mechanics.stiffness import matrix
-from model.mechanics.stress import load
-from model.scene import Bonds, Stress
+from demflow.model.mechanics.loading.stress import load
+from demflow.model.mechanics.motion.equilibrium import Specimen
+from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.static.load_carrying import contacts_of
+from demflow.model.mechanics.static.stiffness import matrix
+from demflow.model.scene import Bonds, Stress
 from tests.mechanics.rocks import packed
 
 KN = 40e9

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.network.apertures import (
+from demflow.model.network.apertures import (
     open_pipes,
     parted_aperture,
     pipe_conductance,
@@ -13,12 +13,12 @@ from model.network.apertures import (
     transmissivity,
     uniform,
 )
-from model.network.domains import network
-from model.outcome import ModelError
-from model.permeability import permeability, unit_permeability
-from model.products import Permeability, StressState
-from model.region import Circle
-from model.scene import FractureSet, Matrix, Trace
+from demflow.model.network.domains import network
+from demflow.model.outcome import ModelError
+from demflow.model.permeability import permeability, unit_permeability
+from demflow.model.products import Permeability, StressState
+from demflow.model.region import Circle
+from demflow.model.scene import FractureSet, Matrix, Trace
 from tests.rocks import random_graph
 
 REGION = Circle(0.8)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.network.domains import CUT_FLOOR, VOLUME_FLOOR, domains_at, network
-from model.outcome import ModelError
-from model.region import Circle, Polygon, Rectangle, contains
+from demflow.model.network.domains import CUT_FLOOR, VOLUME_FLOOR, domains_at, network
+from demflow.model.outcome import ModelError
+from demflow.model.region import Circle, Polygon, Rectangle, contains
 from tests.rocks import hexagonal_lattice, packing_of, random_graph, square_lattice
 
 EVERYWHERE = Rectangle(100.0, 100.0)

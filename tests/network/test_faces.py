@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.network.faces import crossing_pairs, locate
+from demflow.model.network.faces import crossing_pairs, locate
 
 
 @given(seed=st.integers(0, 10**6), contacts=st.integers(1, 60))

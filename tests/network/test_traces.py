@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from model.network.apertures import transmissivity
-from model.network.domains import network
-from model.network.traces import chain_along, pipes_across
-from model.region import Circle, Polygon, Rectangle, clip_segment, contains
-from model.scene import BiWing, FractureSet, Line, Trace, lines_of
+from demflow.model.network.apertures import transmissivity
+from demflow.model.network.domains import network
+from demflow.model.network.traces import chain_along, pipes_across
+from demflow.model.region import Circle, Polygon, Rectangle, clip_segment, contains
+from demflow.model.scene import BiWing, FractureSet, Line, Trace, lines_of
 from tests.reservoirs import reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
 

@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from model.products import Packing, StressState
-from model.scene import Bonds, Rectangle, Stress
-from model.stages import pack, stress
+from demflow.model.products import Packing, StressState
+from demflow.model.scene import Bonds, Rectangle, Stress
+from demflow.model.stages import pack, stress
 from tests.peers.yade import run_in_yade
 
 DATA = Path(__file__).parent.parent / "mechanics" / "data"

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from model.controls import sites
-from model.flow.problem import Problem
-from model.flow.records import outputs
-from model.flow.solvers import SOLVERS
-from model.flow.system import System
-from model.region import Rectangle
-from model.scene import Trace, Well
+from demflow.model.controls import sites
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Problem
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.region import Rectangle
+from demflow.model.scene import Trace, Well
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
 

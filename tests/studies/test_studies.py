@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sweep
-from model.outcome import Status
-from sweep.cli import main
-from sweep.figures import write_figures
-from sweep.report import write_report
+from demflow import sweep
+from demflow.model.outcome import Status
+from demflow.sweep.command.cli import main
+from demflow.sweep.figures import write_figures
+from demflow.sweep.report import write_report
 
 STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
 
@@ -64,7 +64,7 @@ def test_a_second_run_computes_nothing(ran, monkeypatch):
     def refuse(*_args, **_kwargs):
         raise AssertionError("a finished study starts no workers")
 
-    monkeypatch.setattr("sweep.execute.execute", refuse)
+    monkeypatch.setattr("demflow.sweep.execution.loop.execute", refuse)
     again = sweep.run(study.path, workers=2, results=folder.parent, smoke=True)
     assert again.identical(dataset)
 

@@ -8,12 +8,12 @@ import numpy as np
 import xarray as xr
 from scipy.spatial import Delaunay
 
-from model.analytic.linear import linear_pressure
-from model.analytic.radial import radial_dimensionless_pressure
-from model.quantities import CASE
-from model.transient import bourdet_derivative
-from sweep.cases import case_at, coordinates
-from sweep.study import Study, load_study
+from demflow.model.analytic.linear import linear_pressure
+from demflow.model.analytic.radial import radial_dimensionless_pressure
+from demflow.model.quantities import CASE
+from demflow.model.transient import bourdet_derivative
+from demflow.sweep.study.cases import case_at, coordinates
+from demflow.sweep.study.load import Study, load_study
 
 MD = 9.869233e-16
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from sweep.store import Store, pack
+from demflow.sweep.store.products import Store, pack
 
 
 def put(

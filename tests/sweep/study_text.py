@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sweep.study import Study, StudyError, load_study
+from demflow.sweep.study.load import Study, StudyError, load_study
 
 # the example of the documentation, word by word
 EXAMPLE = """\

@@ -7,21 +7,21 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from model.analytic.linear import linear_pressure
-from model.analytic.radial import (
+from demflow.model.analytic.linear import linear_pressure
+from demflow.model.analytic.radial import (
     finite_radius_well,
     line_source,
     radial_dimensionless_pressure,
 )
-from model.analytic.wells import closed_circle_pseudo_steady
-from model.region import Circle, Rectangle
-from model.scene import BiWing, Fluid, Grains, Matrix, Scene, Well
-from model.transient import bourdet_derivative
-from sweep.analysis import cases, compare
-from sweep.analysis.linear_flow import compare_linear, linear_tables
-from sweep.analysis.permeability import ensemble, principal_permeability
-from sweep.analysis.radial_flow import compare_radial, radial_tables
-from sweep.analysis.regimes import detect_regimes, fit_permeability, fitted_permeability
+from demflow.model.analytic.wells import closed_circle_pseudo_steady
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene import BiWing, Fluid, Grains, Matrix, Scene, Well
+from demflow.model.transient import bourdet_derivative
+from demflow.sweep.analysis import cases, compare
+from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
+from demflow.sweep.analysis.permeability import ensemble, principal_permeability
+from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
+from demflow.sweep.analysis.regimes import detect_regimes, fit_permeability, fitted_permeability
 
 MD = 9.869233e-16
 FLUID = Fluid(viscosity=1.0, bulk_modulus=1e9)
@@ -328,7 +328,7 @@ def test_nothing_to_compare_is_said():
 
 
 def test_tables_are_written_as_csv_in_full_precision(tmp_path):
-    from sweep.analysis.table import table
+    from demflow.sweep.analysis.table import table
 
     path = table("t", ("a, b", "c"), [(np.float64(0.1) + 0.2, "x"), (1, "y,z")]).write_csv(
         tmp_path / "t.csv"

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from sweep.blame import ATTEMPTS_ALONE, ATTEMPTS_AT_MOST, CHANCE, Blame, by_chance
+from demflow.sweep.execution.blame import ATTEMPTS_ALONE, ATTEMPTS_AT_MOST, CHANCE, Blame, by_chance
 
 
 def test_the_chance_is_that_of_many_drawn_numbers():

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from study_text import EXAMPLE, SMALL, load
 
-from model.parameters import SceneError
-from sweep.axes import Axis
-from sweep.cases import Case, case_at, coordinates
-from sweep.scenes import SceneBuilder
+from demflow.model.parameters import SceneError
+from demflow.sweep.study.axes import Axis
+from demflow.sweep.study.cases import Case, case_at, coordinates
+from demflow.sweep.study.scenes import SceneBuilder
 
 
 def varied(folder, axes, text=SMALL):

@@ -11,10 +11,10 @@ import sys
 
 import pytest
 
-from sweep import cli
-from sweep.lock import FolderLock
-from sweep.progress import Progress, ProgressLine, duration, line, size
-from sweep.results import open_results
+from demflow.sweep.command import cli
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.execution.progress import Progress, ProgressLine, duration, line, size
+from demflow.sweep.store.lock import FolderLock
 from tests.sweep import toy_stages, toys
 
 
@@ -235,7 +235,7 @@ def test_schema_is_json(capsys):
 def test_what_must_answer_at_once_imports_nothing_heavy(good, command):
     code = (
         "import sys\n"
-        "from sweep.cli import main\n"
+        "from demflow.sweep.command.cli import main\n"
         "try:\n"
         "    main(sys.argv[1:])\n"
         "except SystemExit:\n"
@@ -259,7 +259,7 @@ def test_what_must_answer_at_once_imports_nothing_heavy(good, command):
 def test_a_reader_that_stops_reading_is_no_error(good):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
     done = subprocess.run(
-        f"'{sys.executable}' -m sweep.cli schema | head -c 1",
+        f"'{sys.executable}' -m demflow schema | head -c 1",
         shell=True,
         env=environment,
         capture_output=True,

@@ -10,12 +10,12 @@ from contextlib import ExitStack
 import psutil
 import pytest
 
-from sweep import worker
-from sweep.errors import RunError, SchedulerError
-from sweep.stages import Status
-from sweep.store import Store, pack, unpack
-from sweep.versions import agreed
-from sweep.worker import Job, Task, run_job
+from demflow.model.outcome import Status
+from demflow.sweep.errors import RunError, SchedulerError
+from demflow.sweep.execution import worker
+from demflow.sweep.execution.worker import Job, Task, run_job
+from demflow.sweep.store.products import Store, pack, unpack
+from demflow.sweep.store.versions import agreed
 from tests.sweep import toy_stages, toys
 from tests.sweep.clusters import certificate, dask_cluster, extra_worker
 from tests.sweep.processes import products, start
@@ -116,7 +116,7 @@ def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
 
 
 def test_a_scheduler_that_dies_ends_the_run_and_what_was_finished_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.pools.remote.CONNECT_SECONDS", 1)
+    monkeypatch.setattr("demflow.sweep.execution.cluster.CONNECT_SECONDS", 1)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES, seconds=0.5)
     with dask_cluster(tmp_path / "processes", workers=1) as cluster:
 
@@ -168,7 +168,7 @@ def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, 
     address = cluster.address
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
     own = agreed() | {library: "0.0.1"}
-    monkeypatch.setattr("sweep.execute.agreed", lambda: own)
+    monkeypatch.setattr("demflow.sweep.execution.loop.agreed", lambda: own)
     place = ("--results", str(tmp_path / "results"), "--scheduler", address)
     assert toys.demflow("run", str(path), *place) == 2
     told = capsys.readouterr().err
@@ -212,7 +212,7 @@ def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(c
 def test_workers_that_come_late_are_waited_for_and_those_without_a_nanny_not_taken(
     tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("sweep.execute.WAITING_SECONDS", 0.3)
+    monkeypatch.setattr("demflow.sweep.execution.loop.WAITING_SECONDS", 0.3)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
     seen = []
     with dask_cluster(tmp_path / "processes", workers=0) as cluster, ExitStack() as joined:
@@ -232,7 +232,7 @@ def test_workers_that_come_late_are_waited_for_and_those_without_a_nanny_not_tak
 
 
 def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("sweep.pools.remote.CONNECT_SECONDS", 0.5)
+    monkeypatch.setattr("demflow.sweep.execution.cluster.CONNECT_SECONDS", 0.5)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     place = ("--results", str(tmp_path / "results"))
     for address in ("tcp://127.0.0.1:1", "nonsense", "ftp://127.0.0.1:1"):

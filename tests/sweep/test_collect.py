@@ -17,13 +17,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.quantities import CASE, SWEEP
-from sweep import collect as collect_module
-from sweep.dataset.file import collected_digest
-from sweep.dataset.tiles import tiles
-from sweep.prepared import prepare
-from sweep.results import open_results
-from sweep.stages import Status
+from demflow.model.outcome import Status
+from demflow.model.quantities import CASE, SWEEP
+from demflow.sweep.dataset import collect as collect_module
+from demflow.sweep.dataset.file import collected_digest
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.dataset.tiles import tiles
+from demflow.sweep.prepared import prepare
 from tests.sweep import toy_stages, toys
 
 
@@ -227,7 +227,7 @@ def test_a_dataset_that_cannot_take_its_place_leaves_the_earlier_one(
 _FULL = """
 import resource, sys
 from pathlib import Path
-from sweep.collect import collect
+from demflow.sweep.dataset.collect import collect
 from tests.sweep import toys
 path, folder = Path(sys.argv[1]), Path(sys.argv[2])
 made = toys.prepared(path, folder)

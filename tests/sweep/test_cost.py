@@ -11,13 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
-from sweep.cost import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
-from sweep.forecast import forecast
-from sweep.memory import peak_memory
-from sweep.plan import SIZE_STEP, Kind, grains, make_plan
-from sweep.stages import stage_table
-from sweep.store import Store
+from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
+from demflow.sweep.command.forecast import forecast
+from demflow.sweep.execution.memory import peak_memory
+from demflow.sweep.plan.graph import SIZE_STEP, Kind, grains, make_plan, stage_table
+from demflow.sweep.store.costs import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
+from demflow.sweep.store.products import Store
 from tests.sweep import toys
 
 
@@ -102,7 +101,7 @@ def test_costs_are_kept_for_machines_of_their_kind(tmp_path, monkeypatch):
     costs = measured(lambda n: n * 1e-3, (500, 1000))
     costs.write(store)
     assert Costs.read(store).known == costs.known
-    monkeypatch.setattr("sweep.cost.machine", lambda: "abacus")
+    monkeypatch.setattr("demflow.sweep.store.costs.machine", lambda: "abacus")
     assert Costs.read(store).known == {}
     monkeypatch.undo()
     for text in ("{]", "[]", "{}", '{"machine": 1}'):

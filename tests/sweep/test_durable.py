@@ -6,8 +6,8 @@ import os
 
 import pytest
 
-from sweep import durable
-from sweep.durable import write_all_durably, write_durably
+from demflow.sweep.store import durable
+from demflow.sweep.store.durable import write_all_durably, write_durably
 
 
 @pytest.fixture(params=["together", "one by one"])

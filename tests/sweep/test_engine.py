@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import sweep
-from model.quantities import SWEEP
-from sweep import engine
-from sweep.lock import FolderLock, LockedError
-from sweep.prepared import prepare
-from sweep.results import open_results
-from sweep.store import StoreError
+from demflow import sweep
+from demflow.model.quantities import SWEEP
+from demflow.sweep import engine
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.prepared import prepare
+from demflow.sweep.store.lock import FolderLock, LockedError
+from demflow.sweep.store.products import StoreError
 from tests.sweep import toy_stages, toys
 from tests.sweep.processes import leftovers, products, start
 from tests.sweep.stored import put

@@ -14,10 +14,10 @@ import psutil
 import pytest
 from distributed import LocalCluster
 
-from model.quantities import SWEEP
-from sweep.errors import RunError
-from sweep.results import open_results
-from sweep.stages import Status
+from demflow.model.outcome import Status
+from demflow.model.quantities import SWEEP
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.errors import RunError
 from tests.sweep import toy_stages, toys
 
 POISON = {
@@ -119,8 +119,8 @@ def test_a_memory_limit_that_was_raised_is_tried_again(tmp_path, capsys):
 
 
 def test_without_limits_a_case_has_its_share_of_the_machine(tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.limits.machine_memory", lambda: 666e6)
-    monkeypatch.setattr("sweep.limits.LEAST", 1e6)
+    monkeypatch.setattr("demflow.sweep.execution.limits.machine_memory", lambda: 666e6)
+    monkeypatch.setattr("demflow.sweep.execution.limits.LEAST", 1e6)
     rates = (1.0, toy_stages.GROWS, 2.0)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates)
     dataset = open_results(toys.run(path, tmp_path / "results").folder)
@@ -297,8 +297,8 @@ def test_a_running_scheduler_can_be_used(tmp_path):
 
 
 def test_local_workers_that_never_stand_end_the_run_with_what_to_do(tmp_path, monkeypatch):
-    monkeypatch.setattr("sweep.pools.local.LocalPool.patience", 0.5)
-    monkeypatch.setattr("sweep.pools.local.LocalPool.addresses", lambda _: set())
+    monkeypatch.setattr("demflow.sweep.execution.local.LocalPool.patience", 0.5)
+    monkeypatch.setattr("demflow.sweep.execution.local.LocalPool.addresses", lambda _: set())
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     with pytest.raises(RunError, match="try fewer workers"):
         toys.run(path, tmp_path / "results", workers=1)
@@ -318,7 +318,7 @@ def test_a_worker_that_never_answers_is_ended_and_another_takes_its_place(tmp_pa
     (tmp_path / "silent.py").write_text(SILENT)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(toys, "TABLE", "silent:STAGES")
-    monkeypatch.setattr("sweep.execute.GREETING_SECONDS", 1.5)
+    monkeypatch.setattr("demflow.sweep.execution.loop.GREETING_SECONDS", 1.5)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     finished = toys.run(path, tmp_path / "results", workers=1)
     assert (finished.failed, finished.executed.deaths) == (0, 1)

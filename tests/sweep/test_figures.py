@@ -8,14 +8,14 @@ import pytest
 from matplotlib.collections import PolyCollection
 from PIL import Image
 
-import sweep.figures as figures
-from model.region import contains
-from sweep.cases import case_at
-from sweep.figures import maps as map_figures
-from sweep.figures import representative_cases, write_figures
-from sweep.figures.permeability import draw_permeability
-from sweep.figures.style import house_style, is_log_spaced, label, pick
-from sweep.figures.wells import draw_well
+import demflow.sweep.figures as figures
+from demflow.model.region import contains
+from demflow.sweep.figures import maps as map_figures
+from demflow.sweep.figures import representative_cases, write_figures
+from demflow.sweep.figures.permeability import draw_permeability
+from demflow.sweep.figures.style import house_style, is_log_spaced, label, pick
+from demflow.sweep.figures.wells import draw_well
+from demflow.sweep.study.cases import case_at
 from tests.sweep.invented import LINEAR, RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
 SMALL = SWEEP.replace("per_decade: 12", "per_decade: 5")
@@ -259,7 +259,9 @@ def test_map_times(times, wanted, expected):
 def test_log_log_curves_are_the_data(results, monkeypatch):
     study, dataset, folder = results(RADIAL)
     kept = []
-    monkeypatch.setattr("sweep.figures.wells.save", lambda figure, path, text: kept.append(figure))
+    monkeypatch.setattr(
+        "demflow.sweep.figures.wells.save", lambda figure, path, text: kept.append(figure)
+    )
 
     def well_of(index, name):
         return case_at(study, list(index.values())).scene.wells[0]
@@ -282,7 +284,9 @@ def test_log_log_curves_are_the_data(results, monkeypatch):
 def test_each_flow_period_is_drawn_over_its_own_time(results, monkeypatch):
     study, dataset, folder = results(RADIAL)
     kept = []
-    monkeypatch.setattr("sweep.figures.wells.save", lambda figure, path, text: kept.append(figure))
+    monkeypatch.setattr(
+        "demflow.sweep.figures.wells.save", lambda figure, path, text: kept.append(figure)
+    )
     well = case_at(study, (0,)).scene.wells[0]
     shut_in = dataclasses.replace(well, rate=None, schedule=((0.0, 2e-5), (420.0, 0.0)))
     with house_style():

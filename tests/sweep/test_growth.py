@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from model.parameters import SceneError
-from model.scene import OBSERVABLES, Scene
-from sweep.cases import case_at
-from sweep.plan import Plan, make_plan
-from sweep.prepared import planned
-from sweep.results import open_results
-from sweep.stages import stage_table
-from sweep.study import Study, load_study
+from demflow.model.parameters import SceneError
+from demflow.model.scene import OBSERVABLES, Scene
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.plan.graph import Plan, make_plan, stage_table
+from demflow.sweep.prepared import planned
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import Study, load_study
 from tests.sweep import toys
 from tests.sweep.study_text import EXAMPLE
 

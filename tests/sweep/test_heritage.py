@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from sweep.heritage import inherited, note
-from sweep.stages import stage_table
-from sweep.store import Store
+from demflow.sweep.plan.graph import stage_table
+from demflow.sweep.store.inherited import inherited, note
+from demflow.sweep.store.products import Store
 from tests.sweep import toy_stages, toys
 
 STAGES = stage_table(toys.TABLE)

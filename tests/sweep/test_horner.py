@@ -2,8 +2,8 @@
 
 import pytest
 
-from model.scene import Well
-from sweep.figures.horner import production_time
+from demflow.model.scene import Well
+from demflow.sweep.figures.horner import production_time
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.identity import encode, product_id
+from demflow.sweep.plan.identity import encode, product_id
 
 plain = st.recursive(
     st.none()
@@ -106,7 +106,7 @@ def test_every_part_counts():
 def test_identities_are_the_same_in_every_process():
     code = (
         "from model.scene import *\n"
-        "from sweep.identity import encode, product_id\n"
+        "from sweep.plan.identity import encode, product_id\n"
         "grains = Grains(count=7, porosity=0.17)\n"
         "value = (grains, Circle(2.0), {'b': 1, 'a': (0.1, None, 'x')})\n"
         "print(product_id('pack', 1, {'v': encode(value)}, ('p', None)))\n"

@@ -4,11 +4,11 @@ import json
 
 import pytest
 
-import sweep
-from model.scene import InitialField
-from sweep.cases import case_at
-from sweep.schema import study_schema
-from sweep.yaml_source import StudyError
+from demflow import sweep
+from demflow.model.scene import InitialField
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.schema import study_schema
+from demflow.sweep.study.yaml_source import StudyError
 
 STUDY = """\
 study: starts

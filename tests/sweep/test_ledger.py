@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sweep import worker
-from sweep.errors import RunError
-from sweep.jobs import LOST_AGAIN, Jobs, ParentLostError
-from sweep.ledger import LOST_PRODUCTS, Ledger
-from sweep.limits import Judge
-from sweep.schedule import Schedule
-from sweep.stages import Status
-from sweep.study import Limits
-from sweep.worker import Outcome, run_job
+from demflow.model.outcome import Status
+from demflow.sweep.errors import RunError
+from demflow.sweep.execution import worker
+from demflow.sweep.execution.jobs import LOST_AGAIN, Jobs, ParentLostError
+from demflow.sweep.execution.ledger import LOST_PRODUCTS, Ledger
+from demflow.sweep.execution.limits import Judge
+from demflow.sweep.execution.schedule import Schedule
+from demflow.sweep.execution.worker import Outcome, run_job
+from demflow.sweep.study.load import Limits
 from tests.sweep import toys
 from tests.sweep.stored import put
 

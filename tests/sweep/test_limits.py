@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from sweep import limits, prepared
-from sweep.limits import in_force
-from sweep.prepared import may_pass
-from sweep.stages import Status
-from sweep.study import Limits
+from demflow.model.outcome import Status
+from demflow.sweep import prepared
+from demflow.sweep.execution import limits
+from demflow.sweep.execution.limits import in_force
+from demflow.sweep.prepared import may_pass
+from demflow.sweep.study.load import Limits
 
 
 def test_workers_share_the_machine_unless_the_study_says_otherwise(monkeypatch):

@@ -7,8 +7,8 @@ import time
 import psutil
 import pytest
 
-from sweep.pools import silent_loops
-from sweep.pools.local import LocalPool
+from demflow.sweep.execution.local import LocalPool
+from demflow.sweep.execution.pool import silent_loops
 
 
 @pytest.fixture

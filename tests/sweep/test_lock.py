@@ -9,11 +9,11 @@ import sys
 
 import pytest
 
-from sweep.lock import FolderLock, LockedError
+from demflow.sweep.store.lock import FolderLock, LockedError
 
 HOLD = (
     "import sys, time, pathlib\n"
-    "from sweep.lock import FolderLock\n"
+    "from sweep.store.lock import FolderLock\n"
     "with FolderLock(pathlib.Path(sys.argv[1]), 'demflow run other'):\n"
     "    print('held', flush=True)\n"
     "    time.sleep(600)\n"

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from model.parameters import SceneError
-from model.scene import Fluid, Grains, Matrix, Rectangle, Scene, Stress, Well
-from sweep.plan import make_plan
-from sweep.stages import stage_table
+from demflow.model.parameters import SceneError
+from demflow.model.scene import Fluid, Grains, Matrix, Rectangle, Scene, Stress, Well
+from demflow.sweep.plan.graph import make_plan, stage_table
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)

@@ -6,9 +6,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-import sweep.figures as figures
-from sweep.report import write_report
-from sweep.report.html import grid
+import demflow.sweep.figures as figures
+from demflow.sweep.report import write_report
+from demflow.sweep.report.html import grid
 from tests.sweep.invented import RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
 

@@ -8,9 +8,9 @@ import shutil
 import numpy as np
 import pytest
 
-import sweep
-from sweep import results
-from sweep.errors import ResultsError
+from demflow import sweep
+from demflow.sweep.dataset import open as results
+from demflow.sweep.errors import ResultsError
 from tests.sweep import toy_stages, toys
 
 MAPS = {

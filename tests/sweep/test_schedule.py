@@ -7,10 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sweep.blame import ATTEMPTS_QUICK
-from sweep.plan import Kind, Plan, StageRun
-from sweep.schedule import BUNDLE_SECONDS, LONGEST_SECONDS, SHARES, Schedule, State, Tally
-from sweep.stages import stage_table
+from demflow.sweep.execution.blame import ATTEMPTS_QUICK
+from demflow.sweep.execution.schedule import (
+    BUNDLE_SECONDS,
+    LONGEST_SECONDS,
+    SHARES,
+    Schedule,
+    State,
+    Tally,
+)
+from demflow.sweep.plan.graph import Kind, Plan, StageRun, stage_table
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)[:3]

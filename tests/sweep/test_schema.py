@@ -8,8 +8,8 @@ import pytest
 from ruamel.yaml import YAML
 from study_text import EXAMPLE, SMALL
 
-from model.scene import OBSERVABLES
-from sweep.schema import study_schema
+from demflow.model.scene import OBSERVABLES
+from demflow.sweep.study.schema import study_schema
 
 _TYPES = {
     "object": dict,

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-import sweep
-from sweep.cli import main
+from demflow import sweep
+from demflow.sweep.command.cli import main
 
 STUDY = """
 study: steady

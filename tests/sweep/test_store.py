@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from sweep.store import (
+from demflow.sweep.store.products import (
     MAGIC,
     DamagedError,
     MissingError,

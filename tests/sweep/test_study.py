@@ -11,10 +11,10 @@ from pathlib import Path
 import pytest
 from study_text import EXAMPLE, SMALL, broken, load
 
-from model.scene import BiWing, Circle, FractureSet, Grains, Trace
-from sweep.cases import case_at
-from sweep.scene_grammar import SCENE
-from sweep.study import load_study
+from demflow.model.scene import BiWing, Circle, FractureSet, Grains, Trace
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import load_study
+from demflow.sweep.study.scene import SCENE
 
 
 @pytest.fixture
@@ -227,7 +227,8 @@ def test_checking_a_study_imports_nothing_heavy(tmp_path):
     path.write_text(EXAMPLE, encoding="utf-8")
     heavy = ("xarray", "numba", "dask", "distributed", "scipy", "matplotlib", "pandas", "netCDF4")
     code = (
-        "import sys; from sweep.study import load_study; import sweep.cases, sweep.schema;"
+        "import sys; from sweep.study.load import load_study;"
+        "import sweep.study.cases, sweep.study.schema;"
         f"load_study({str(path)!r}); print([m for m in {heavy!r} if m in sys.modules])"
     )
     root = Path(__file__).parents[2]

@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from study_text import EXAMPLE, SMALL, broken, load, place_of, problems
 
-from sweep.axes import MAX_CASES
-from sweep.study import StudyError, load_study
-from sweep.yaml_source import LARGEST_FILE
+from demflow.sweep.study.axes import MAX_CASES
+from demflow.sweep.study.load import StudyError, load_study
+from demflow.sweep.study.yaml_source import LARGEST_FILE
 
 # what is replaced, by what, where the problem is reported, what is said
 MISTAKES = [

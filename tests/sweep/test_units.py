@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sweep.units import (
+from demflow.sweep.study.units import (
     UNITS,
     UnitError,
     describe,

@@ -8,13 +8,13 @@ import sys
 
 import pytest
 
-from sweep import cli
-from sweep.engine import UNFINISHED_FILE
-from sweep.lock import FolderLock
-from sweep.results import open_results
-from sweep.store import Store, StoreError
-from sweep.study import StudyError
-from sweep.upkeep import unwanted, verify
+from demflow.sweep.command import cli
+from demflow.sweep.command.upkeep import unwanted, verify
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.engine import UNFINISHED_FILE
+from demflow.sweep.store.lock import FolderLock
+from demflow.sweep.store.products import Store, StoreError
+from demflow.sweep.study.load import StudyError
 from tests.sweep import toy_stages, toys
 
 

@@ -7,12 +7,12 @@ import pytest
 import xarray as xr
 from study_text import broken, load, place_of, problems
 
-import sweep
-from model.outcome import Status
-from model.scene import Circle, Rectangle
-from sweep.cases import case_at, coordinates
-from sweep.cli import main
-from sweep.expect import Expectation, beyond_bounds, ends_as_expected
+from demflow import sweep
+from demflow.model.outcome import Status
+from demflow.model.scene import Circle, Rectangle
+from demflow.sweep.command.cli import main
+from demflow.sweep.study.cases import case_at, coordinates
+from demflow.sweep.study.expect import Expectation, beyond_bounds, ends_as_expected
 
 STUDY = """\
 study: varied

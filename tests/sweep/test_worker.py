@@ -7,11 +7,11 @@ import os
 import numpy as np
 import pytest
 
-from sweep import worker
-from sweep.stages import Status
-from sweep.store import Store
-from sweep.store import pack as packed_file
-from sweep.worker import Job, Task, run_job
+from demflow.model.outcome import Status
+from demflow.sweep.execution import worker
+from demflow.sweep.execution.worker import Job, Task, run_job
+from demflow.sweep.store.products import Store
+from demflow.sweep.store.products import pack as packed_file
 from tests.sweep import toy_stages, toys
 
 IDS = {name: f"{k}{k}" + "0" * 62 for k, name in enumerate(("pack", "flow", "observe"))}
@@ -119,7 +119,7 @@ def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkey
     def fail(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("sweep.durable.os.replace", fail)
+    monkeypatch.setattr("demflow.sweep.store.durable.os.replace", fail)
     with pytest.raises(OSError, match="No space"):
         run(store, *tasks(seconds=seconds))
     monkeypatch.undo()

@@ -19,11 +19,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from model.compilation import compilation
-from model.memory import foresee
-from model.outcome import ModelError
-from model.scene import Scene
-from model.stages import Stage
+from demflow.model.compilation import compilation
+from demflow.model.memory import foresee
+from demflow.model.outcome import ModelError
+from demflow.model.scene import Scene
+from demflow.model.stages import Stage
 
 SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
@@ -87,7 +87,7 @@ def flow(
     if rate in (ANSWERS_SLOWLY, DIES_ANSWERING):
         _answer_slowly(dies=rate == DIES_ANSWERING)
     if rate == FORGETS:
-        vars(sys.modules["sweep.worker"])["_memory"].limit = LITTLE_MEMORY
+        vars(sys.modules["demflow.sweep.execution.worker"])["_memory"].limit = LITTLE_MEMORY
     if rate == NO_NUMBER:
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs

@@ -7,8 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from sweep import cli, engine, upkeep
-from sweep import prepared as preparing
+from demflow.sweep import engine
+from demflow.sweep import prepared as preparing
+from demflow.sweep.command import cli, upkeep
 
 TABLE = "tests.sweep.toy_stages:STAGES"
 

@@ -1,0 +1,1 @@
+"""The flow equation C dp/dt = -G p + q on the pores: sites, wells, outputs, balance."""

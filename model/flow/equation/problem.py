@@ -1,0 +1,136 @@
+"""The one question that every flow solver answers, and helpers to answer it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.flow.equation.outputs import Records, map_rows
+from demflow.model.flow.equation.system import System
+
+# Part of the largest recorded value below which an output's own size no longer counts.
+FAINT = 0.1
+
+
+class Problem(NamedTuple):
+    """Unit step responses of the flow equation at given lags.
+
+    A solver returns `Answer`: for each active source, a step from 0 to 1 at time zero
+    with zero pressure change before.
+    """
+
+    system: System
+    records: Records
+    lag: np.ndarray  # (l,) s, increasing, ≥ 0
+    active: np.ndarray  # (sources,) bool; the others are left at zero
+    domain: np.ndarray  # (m,) domains of the maps, empty where none is asked for
+    tolerance: float
+    safety_factor: float
+    step: float | None = None  # s, what explicit takes for its limit; None: the positivity limit
+    check_flows: bool = True  # inflows at fixed pressures are held to the tolerance too
+
+    @property
+    def active_sources(self) -> list[int]:
+        """Positions of the sources that act."""
+        return [int(k) for k in np.flatnonzero(self.active)]
+
+    @property
+    def flows_count(self) -> bool:
+        """Whether inflows at fixed pressures are recorded and held to the tolerance."""
+        return self.check_flows and self.records.flow_rows > 0
+
+    def own_well(self, source: int) -> int | None:
+        """Output that is the pressure of the well that the source is; None for other sources."""
+        well = source - self.system.fixed_count
+        return well if 0 <= well < self.records.well_rows else None
+
+    def far(self, source: int) -> bool:
+        """Whether anything is held to the tolerance besides the own pressure of a well."""
+        counts = self.records.rows.shape[0]
+        if not self.check_flows:
+            counts -= self.records.flow_rows
+        return counts > (self.own_well(source) is not None) or len(self.domain) > 0
+
+    def own_size(self, source: int) -> tuple[float, float]:
+        """Pressure (Pa) and flow (m³/s) that a unit of the source is by itself.
+
+        The flow of a fixed pressure is what would fill all pores in the time asked for; one that
+        has decayed far below it is not worth a relative error.
+        """
+        system = self.system
+        if source < system.fixed_count:
+            return 1.0, float(system.storage.sum() / self.lag[-1]) if self.lag[-1] > 0.0 else 0.0
+        if self.own_well(source) is not None:
+            return 0.0, 1.0
+        field = np.abs(system.initial[source - system.fixed_count - len(system.rate_wells)])
+        out = np.bincount(system.fixed_source, weights=system.fixed_g * field[system.fixed_node])
+        return float(field.max(initial=0.0)), float(out.max(initial=0.0))
+
+    def scale(self, source: int, output: np.ndarray) -> np.ndarray:
+        """Size (l, o) with which the error of each output is compared; 0 where it does not count.
+
+        The well that is the source is compared at every lag with its own pressure change,
+        anything else with the largest value that it takes, or where it takes next to none
+        with a tenth (`FAINT`) of the largest pressure or flow, the source's own included.
+        """
+        records = self.records
+        is_flow = np.zeros(output.shape[1], dtype=bool)
+        is_flow[records.well_rows : records.well_rows + records.flow_rows] = True
+        size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
+        own_well = self.own_well(source)
+        own_pressure, own_flow = self.own_size(source)
+        for kind, own in ((is_flow, own_flow), (~is_flow, own_pressure)):
+            largest = np.max(size[:, kind], initial=own)
+            size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
+        if own_well is not None:
+            size[:, own_well] = np.abs(output[:, own_well])
+        size[:, is_flow & (not self.check_flows)] = 0.0
+        return size
+
+
+class Answer(NamedTuple):
+    """What a solver found."""
+
+    output: np.ndarray  # (sources, l, o)
+    cumulative: np.ndarray  # (sources, l, fixed + 1) inflows of fixed pressures, stored volume
+    pressure: np.ndarray  # (sources, l, m)
+    time_error: float
+    residual: float
+    work: int
+
+
+def empty_answer(problem: Problem) -> Answer:
+    """An answer of zeros, to be filled source by source."""
+    sources, lags = problem.system.source_count, len(problem.lag)
+    return Answer(
+        output=np.zeros((sources, lags, problem.records.rows.shape[0])),
+        cumulative=np.zeros((sources, lags, problem.system.fixed_count + 1)),
+        pressure=np.zeros((sources, lags, len(problem.domain))),
+        time_error=0.0,
+        residual=0.0,
+        work=0,
+    )
+
+
+def fill_map(problem: Problem, source: int, fields: np.ndarray) -> np.ndarray:
+    """Pressure of the mapped domains (l, m) from the unknowns (l, n), for a unit source."""
+    node, fixed = map_rows(problem.system, problem.domain)
+    result = np.zeros((len(fields), len(problem.domain)))
+    known = node >= 0
+    result[:, known] = fields[:, node[known]]
+    result[:, fixed == source] = 1.0
+    return result
+
+
+def relative_residual(system: System, rhs: np.ndarray, rate: np.ndarray, p: np.ndarray) -> float:
+    """Size of C dp/dt + G p − f over that of the flows that meet in each unknown, at one time."""
+    flow = system.edge_g * (p[system.edge_i] - p[system.edge_j])
+    net = system.storage * rate - rhs
+    net = net + np.bincount(system.edge_i, weights=flow, minlength=system.n)
+    net = net - np.bincount(system.edge_j, weights=flow, minlength=system.n)
+    net = net + np.bincount(
+        system.fixed_node, weights=system.fixed_g * p[system.fixed_node], minlength=system.n
+    )
+    through = np.abs(rhs).sum()
+    return float(np.abs(net).sum() / through) if through > 0 else 0.0

@@ -1,0 +1,273 @@
+"""The flow equation of a case: C dp/dt = −G p + f on pores and wells.
+
+Pores outside the region, inside a well, or reached by no source are not unknowns. A well
+at a given rate is one unknown, with storage where it has a wellbore storage, else without;
+sides and wells at a given pressure enter through the excess of the rows beside them.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.flow.equation.wells import (
+    WellSite,
+    conducting_pipes,
+    radial_conductance,
+    wells_of_domains,
+    with_skin,
+)
+from demflow.model.network.connectivity import reached
+from demflow.model.outcome import ModelError
+from demflow.model.products import Apertures, Network
+from demflow.model.region import Region
+
+
+class System(NamedTuple):
+    """Unknowns 0 … n − 1: the active pores, the wells at a rate that store, those that do not.
+
+    Sources are the fixed pressures (sides, then wells), then the wells at a rate, then the
+    unit initial fields.
+    """
+
+    domain: np.ndarray  # (pores,) the domain of each unknown pore
+    n: int  # unknowns
+    storage: np.ndarray  # (n,) C = V / K_f, of wells their wellbore storage, m³/Pa
+    edge_i: np.ndarray  # (e,)
+    edge_j: np.ndarray  # (e,)
+    edge_g: np.ndarray  # (e,) m³/(s Pa)
+    fixed_node: np.ndarray  # (f,) unknown beside a fixed pressure
+    fixed_source: np.ndarray  # (f,) which one
+    fixed_g: np.ndarray  # (f,) m³/(s Pa)
+    short_a: np.ndarray  # (h,) fixed sources that pipes join with no unknown between
+    short_b: np.ndarray  # (h,)
+    short_g: np.ndarray  # (h,) m³/(s Pa)
+    sides: tuple[str, ...]  # names of the sides at fixed pressure
+    pressure_wells: tuple[int, ...]  # positions of the wells at fixed pressure
+    rate_wells: tuple[int, ...]  # positions of the wells at a rate
+    well_node: np.ndarray  # (rate wells,) unknown of each
+    node_of_domain: np.ndarray  # (d,) unknown of each domain, −1 none
+    source_of_domain: np.ndarray  # (d,) fixed source whose pressure a domain has, −1 none
+    isolated: int  # pores inside the region that no source reaches
+    initial: np.ndarray  # (fields, n) unit initial fields; none where the start is uniform
+
+    @property
+    def fixed_count(self) -> int:
+        """Number of fixed pressures, sides and wells."""
+        return len(self.sides) + len(self.pressure_wells)
+
+    @property
+    def source_count(self) -> int:
+        """Number of sources."""
+        return self.fixed_count + len(self.rate_wells) + len(self.initial)
+
+    @property
+    def pores(self) -> int:
+        """Number of unknowns that store fluid: pores, and wells with wellbore storage as they."""
+        return self.n - int(np.count_nonzero(self.storage[self.well_node] == 0.0))
+
+    @property
+    def excess(self) -> np.ndarray:
+        """Conductance of each unknown to fixed pressures, (n,) m³/(s Pa)."""
+        return np.bincount(self.fixed_node, weights=self.fixed_g, minlength=self.n)
+
+    def reached(self, domains: np.ndarray) -> np.ndarray:
+        """Which domains have a pressure that some source moves, as a mask."""
+        return (self.node_of_domain[domains] >= 0) | (self.source_of_domain[domains] >= 0)
+
+    def source(self, index: int) -> np.ndarray:
+        """Right-hand side for a unit of one source, (n,): 1 Pa, or 1 m³/s produced.
+
+        That of an initial field u is −G u: what the field moves by itself.
+        """
+        if index < self.fixed_count:
+            ours = self.fixed_source == index
+            return np.bincount(self.fixed_node[ours], weights=self.fixed_g[ours], minlength=self.n)
+        well = index - self.fixed_count
+        if well >= len(self.rate_wells):
+            return self.net_inflow(self.initial[well - len(self.rate_wells)])
+        rhs = np.zeros(self.n)
+        rhs[self.well_node[well]] = -1.0
+        return rhs
+
+    def net_inflow(self, pressure: np.ndarray) -> np.ndarray:
+        """Flow −G p into each unknown at pressures (n,) with zero at the fixed ones, (n,) m³/s."""
+        flow = self.edge_g * (pressure[self.edge_j] - pressure[self.edge_i])
+        net = np.bincount(self.edge_i, weights=flow, minlength=self.n)
+        net -= np.bincount(self.edge_j, weights=flow, minlength=self.n)
+        return net - self.excess * pressure
+
+
+def assemble(
+    network: Network,
+    apertures: Apertures,
+    *,
+    region: Region,
+    bulk_modulus: float,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+) -> System:
+    """Set up the flow equation.
+
+    `sides` names the sides at fixed pressure (`outer` takes all of them); the others are
+    sealed. A pore in a well shares the well's pressure and stores nothing of its own; a pipe
+    that leaves a well carries g ln(r_j / r_i) / ln(r_j / r_w), which is exact for the
+    logarithmic profile around it. A skin S adds q μ S / (2π k) to the fall of the well's
+    pressure (van Everdingen 1953, Trans. AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J.
+    10, 279–290), with the permeability of the rock around the well.
+
+    Raises `ModelError` where a conductance or a volume is no number, or negative, or where
+    nothing stores fluid.
+    """
+    _check_numbers(network, apertures)
+    pressure_wells = tuple(k for k, w in enumerate(wells) if w.fixed_pressure)
+    rate_wells = tuple(k for k, w in enumerate(wells) if not w.fixed_pressure)
+    storing = np.array([wells[k].storage for k in rate_wells])
+    last_empty = np.argsort(storing == 0.0, kind="stable")  # wells that store nothing come last
+    order = np.argsort(last_empty)
+    well_of = wells_of_domains(network, wells)
+
+    # Everything that flow can reach is a terminal: the pores, then the wells, then the sides.
+    d, w = len(network.x), len(wells)
+    terminal = np.where(well_of >= 0, d + well_of, np.where(network.inside, np.arange(d), -1))
+    held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
+    held[d + w :] = np.arange(len(sides))
+    held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
+    a, b, g = _connections(network, apertures, region, wells, sides, well_of, terminal)
+    a, b = np.where(held[a] >= 0, b, a), np.where(held[a] >= 0, a, b)
+    free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
+    between = held[a] >= 0
+
+    moved = reached(len(held), a[free], b[free], [*a[link], *(d + k for k in rate_wells)])
+    domain = np.flatnonzero((terminal == np.arange(d)) & moved[:d])
+    number = np.full(len(held), -1)
+    number[domain] = np.arange(len(domain))
+    number[[d + k for k in rate_wells]] = len(domain) + order
+    free &= (number[a] >= 0) & (number[b] >= 0)
+    node_of_domain = np.where(terminal >= 0, number[terminal], -1)
+    source_of_domain = np.where(terminal >= 0, held[terminal], -1)
+    alone = network.inside & (node_of_domain < 0) & (source_of_domain < 0)
+    return System(
+        domain=domain,
+        n=len(domain) + len(rate_wells),
+        storage=np.append(apertures.volume[domain] / bulk_modulus, storing[last_empty]),
+        edge_i=number[a[free]],
+        edge_j=number[b[free]],
+        edge_g=g[free],
+        fixed_node=number[a[link]],
+        fixed_source=held[b[link]],
+        fixed_g=g[link],
+        short_a=held[a[between]],
+        short_b=held[b[between]],
+        short_g=g[between],
+        sides=sides,
+        pressure_wells=pressure_wells,
+        rate_wells=rate_wells,
+        well_node=len(domain) + order,
+        node_of_domain=node_of_domain,
+        source_of_domain=source_of_domain,
+        isolated=int(np.count_nonzero(alone)),
+        initial=np.empty((0, len(domain) + len(rate_wells))),
+    )
+
+
+def _check_numbers(network: Network, apertures: Apertures) -> None:
+    """Raise where the network could give no flow equation, before time is spent."""
+    for what, values in (
+        ("conductance", apertures.conductance),
+        ("conductance at the rim", apertures.cut_conductance),
+        ("pore volume", apertures.volume),
+    ):
+        wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
+        if len(wrong):
+            raise ModelError(
+                f"the {what} of {len(wrong)} of {len(values)} is negative or no finite number, "
+                f"first that of number {wrong[0]}: {values[wrong[0]]}; check apertures and fluid"
+            )
+    if not np.all(apertures.volume[network.inside] > 0.0):
+        empty = np.flatnonzero(network.inside & ~(apertures.volume > 0.0))
+        x, y = network.x[empty[0]], network.y[empty[0]]
+        raise ModelError(
+            f"{len(empty)} pores of the region have no volume, so that nothing stores fluid there, "
+            f"first number {empty[0]} at ({x:.4g} m, {y:.4g} m); check the volumes given, or pack "
+            "grains that leave pores"
+        )
+
+
+def _connections(
+    network: Network,
+    apertures: Apertures,
+    region: Region,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+    well_of: np.ndarray,
+    terminal: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Conductances between terminals: pipes, cut pipes to the sides, rock along sealed sides."""
+    side_source = _sources_of_sides(region, sides)
+    rim = side_source[network.cut_side]
+    at_side = (rim >= 0) & (apertures.cut_conductance > 0.0)
+    i, j, g = conducting_pipes(network, apertures, wells, well_of)
+    k, m, around = _around_sealed_sides(network, apertures, rim < 0)
+    a = np.concatenate([terminal[i], terminal[k], terminal[network.cut_inside[at_side]]])
+    b = np.concatenate([terminal[j], terminal[m], len(network.x) + len(wells) + rim[at_side]])
+    g = np.concatenate([g, around, apertures.cut_conductance[at_side]])
+    a, b, g = a[a != b], b[a != b], g[a != b]
+    for number, well in enumerate(wells):
+        if well.skin > 0.0:
+            rock = radial_conductance(network, apertures, region, well)
+            if rock == 0.0:
+                raise ModelError(
+                    f"well {well.name} has a skin_factor, which needs a permeability of the rock "
+                    "between the well and the rim, but no pipe of the rock conducts there"
+                )
+            a, b, g = with_skin(a, b, g, len(network.x) + number, rock / well.skin)
+    return a, b, g
+
+
+def _around_sealed_sides(
+    network: Network, apertures: Apertures, sealed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Edges that stand for the pores cut by a sealed side.
+
+    Simply dropping the pipes that cross a sealed side narrows the region by some 0.4 of a
+    pore on each side. A pipe keeps the part t of its conductance that lies inside instead,
+    so that a pressure gradient along the side meets its full share of rock, and the pore
+    beyond, which then joins only pores inside, is eliminated: g_i g_k / Σ g between each
+    two of its neighbours.
+    """
+    fraction = network.cut_fraction[sealed]
+    conductance = apertures.cut_conductance[sealed] * fraction**2
+    conducts = conductance > 0.0
+    inner = network.cut_inside[sealed][conducts]
+    outer = network.cut_outside[sealed][conducts]
+    conductance = conductance[conducts]
+    order = np.argsort(outer, kind="stable")
+    inner, outer, conductance = inner[order], outer[order], conductance[order]
+    _, first, count = np.unique(outer, return_index=True, return_counts=True)
+    total = np.repeat(np.add.reduceat(conductance, first) if len(first) else first, count)
+    pairs = []
+    for step in range(1, int(count.max(initial=1))):
+        # neighbours of one pore follow each other in the list
+        first_of = np.flatnonzero(outer[step:] == outer[:-step])
+        pairs.append(np.column_stack([first_of, first_of + step]))
+    k, m = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]).T
+    return inner[k], inner[m], conductance[k] * conductance[m] / total[k]
+
+
+def _sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
+    """The source that fixes each side of the region, −1 where it is sealed."""
+    source = np.full(len(region.sides), -1)
+    for order, name in enumerate(sides):
+        if name == "outer":
+            source[:] = order
+        else:
+            source[region.sides.index(name)] = order
+    return source
+
+
+def without_outlet(system: System) -> bool:
+    """Whether some unknown is connected to no fixed pressure, so that no steady state exists."""
+    held = reached(system.n, system.edge_i, system.edge_j, system.fixed_node)
+    return not bool(held.all())

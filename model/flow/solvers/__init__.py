@@ -1,0 +1,1 @@
+"""Solvers of the flow equation, and the choice between them."""

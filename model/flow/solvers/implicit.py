@@ -1,0 +1,344 @@
+"""Transients by an adaptive, L-stable Runge–Kutta method, its factors reused.
+
+ESDIRK4(3)6L[2]SA of Kennedy & Carpenter (2003), Appl. Numer. Math. 44, 139–181: fourth
+order, every implicit stage with one matrix G + C / (γ h), stiffly accurate, so that wells
+without storage, which are algebraic rows, hold at the end of each step. Steps are taken
+from a ladder of fixed ratio, so that a factor serves many steps and every source.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.flow.equation.algebraic import Algebraic, algebraic
+from demflow.model.flow.equation.balance import transient_misfit
+from demflow.model.flow.equation.outputs import map_rows
+from demflow.model.flow.equation.problem import Answer, Problem, empty_answer, fill_map
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise, solve
+from demflow.model.outcome import ModelError
+
+GAMMA = 0.25  # the diagonal of the implicit stages
+STAGES = np.array(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1 / 4, 1 / 4, 0, 0, 0, 0],
+        [8611 / 62500, -1743 / 31250, 1 / 4, 0, 0, 0],
+        [5012029 / 34652500, -654441 / 2922500, 174375 / 388108, 1 / 4, 0, 0],
+        [
+            15267082809 / 155376265600,
+            -71443401 / 120774400,
+            730878875 / 902184768,
+            2285395 / 8070912,
+            1 / 4,
+            0,
+        ],
+        [82889 / 524892, 0, 15625 / 83664, 69875 / 102672, -2260 / 8211, 1 / 4],
+    ]
+)
+WEIGHTS = STAGES[-1]
+EMBEDDED = np.array(
+    [
+        4586570599 / 29645900160,
+        0,
+        178811875 / 945068544,
+        814220225 / 1159782912,
+        -3700637 / 11593932,
+        61727 / 225920,
+    ]
+)
+
+RUNGS_PER_OCTAVE = 1  # steps are 2^k s
+
+# Local error of a step, as the embedded method sees it, over the tolerance to the power of
+# 9/8. The estimate is of the order of the step to the fourth power, as the error gathered over
+# a decade of time is; the steps of a decade, whose number goes with the tolerance to the power
+# of -1/4, add up as the square root of their number.
+LOCAL_SHARE = 0.45
+
+SAFETY = 0.9
+LEAST_GROWTH, MOST_GROWTH = 0.1, 4.0
+LEAST_STEP = 2.0**-40  # of the first step: an error that lasts there is round-off
+MOST_STEPS = 200_000
+
+# Part of the largest flow below which a boundary's own flow no longer counts.
+FAINT = 0.1
+
+# Memory that kept factors may take, bytes.
+CACHE_BYTES = 1 << 29
+
+
+class State(NamedTuple):
+    """Where a march stands."""
+
+    time: float  # s
+    pressure: np.ndarray  # (n,)
+    rate: np.ndarray  # (n,) dp/dt
+    volume: np.ndarray  # (fixed,) let in by each fixed pressure so far
+
+
+class Step(NamedTuple):
+    """One step: values and increments h dp/dt at its stages."""
+
+    size: float  # s
+    value: np.ndarray  # (6, n)
+    increment: np.ndarray  # (6, n)
+
+
+class Ladder:
+    """Factors of G + C / (γ h) for the steps of a ladder, made when first asked for."""
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.symbolic: Symbolic = analyse(system.n, system.edge_i, system.edge_j)
+        self.made = 0
+        self._kept: dict[int, Factor] = {}
+        self._most = max(4, CACHE_BYTES // max(1, self.symbolic.factor_bytes))
+
+    @staticmethod
+    def rung(step: float) -> int:
+        """The highest rung whose step is not longer than this."""
+        return math.floor(RUNGS_PER_OCTAVE * math.log2(step) + 1e-9)
+
+    @staticmethod
+    def step(rung: int) -> float:
+        """Length of a rung's step, s."""
+        return float(2.0 ** (rung / RUNGS_PER_OCTAVE))
+
+    @staticmethod
+    def shift(rung: int) -> float:
+        """The s of a rung's matrix G + s C, 1/s."""
+        return 1.0 / (GAMMA * Ladder.step(rung))
+
+    def factor(self, rung: int) -> Factor:
+        """Factor for the step of a rung; the oldest goes where memory runs short."""
+        if rung not in self._kept:
+            if len(self._kept) >= self._most:
+                del self._kept[next(iter(self._kept))]
+            excess = self.system.excess + self.shift(rung) * self.system.storage
+            self._kept[rung] = factorise(self.symbolic, self.system.edge_g, excess)
+            self.made += 1
+        return self._kept[rung]
+
+
+def implicit(problem: Problem) -> Answer:
+    """March every active source through the lags under error control.
+
+    Raises `ModelError` where `MOST_STEPS` steps do not reach the last lag, or where no step is
+    short enough for the tolerance.
+    """
+    system = problem.system
+    wells = algebraic(system)
+    ladder = Ladder(system)
+    answer = empty_answer(problem)
+    error = residual = 0.0
+    work = 0
+    for k in problem.active_sources:
+        estimate, last, rung, solves = _march(problem, k, wells, ladder, answer)
+        error = max(error, estimate)
+        shift, factor = ladder.shift(rung), ladder.factor(rung)
+        misfit = transient_misfit(system, factor, shift, k, last.pressure, last.rate)
+        residual = float(np.maximum(residual, misfit))
+        work += solves
+    return answer._replace(time_error=error, residual=residual, work=work + ladder.made)
+
+
+def initial_state(system: System, wells: Algebraic, rhs: np.ndarray) -> State:
+    """Pores at rest; wells follow the source and the pores at once."""
+    pores = system.pores
+    pressure = np.zeros(system.n)
+    pressure[pores:] = wells.direct(rhs)
+    rate = wells.lift(wells.reduce_source(rhs) / system.storage[:pores])
+    return State(0.0, pressure, rate, np.zeros(system.fixed_count))
+
+
+def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, size: float) -> Step:
+    """Stages of one step of `size` s, whose matrix G + C / (γ h) is factored.
+
+    The increments come from differences of stage values, not from f − G p, whose round-off
+    a stiff pore would magnify. Every stage is brought back into balance (`_balanced`).
+    """
+    scaled = system.storage / (GAMMA * size)
+    drain = system.excess + scaled
+    value = np.empty((len(STAGES), system.n))
+    increment = np.empty_like(value)
+    value[0], increment[0] = state.pressure, size * state.rate
+    for i in range(1, len(STAGES)):
+        known = state.pressure + STAGES[i, :i] @ increment[:i]
+        right = rhs + scaled * known
+        value[i] = _balanced(solve(factor, right), drain, right)
+        increment[i] = (value[i] - known) / GAMMA
+    return Step(size, value, increment)
+
+
+def _balanced(value: np.ndarray, drain: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """A solution (n,) whose sum over all equations, the volume balance, holds to round-off.
+
+    `drain` (n,) are the sums of the matrix's columns. The errors of a factor lean one way, so
+    that what a march stores would part from what it lets in; the last digits of every value,
+    in proportion to it, make up for that.
+    """
+    missing = right.sum() - drain @ value
+    share = np.abs(value)
+    size = float(drain @ share)
+    return value + (missing / size) * share if size > 0.0 else value
+
+
+def weights_at(part: float) -> np.ndarray:
+    """Weights of the increments that give the pressure after a part 0 … 1 of the step, (6,).
+
+    The cubic through values and slopes at both ends; written in increments it keeps the
+    volume as the step itself does.
+    """
+    weights = part * part * (3.0 - 2.0 * part) * WEIGHTS
+    weights[0] += part * (1.0 - part) ** 2
+    weights[-1] -= part * part * (1.0 - part)
+    return weights
+
+
+def _march(
+    problem: Problem, source: int, wells: Algebraic, ladder: Ladder, answer: Answer
+) -> tuple[float, State, int, int]:
+    """Fill one source's part of the answer (in place); error estimate, end, last rung, solves."""
+    system, lags = problem.system, problem.lag
+    rhs = system.source(source)
+    gauge = _Gauge(problem, source)
+    state = initial_state(system, wells, rhs)
+    rung = last = ladder.rung(_first_step(problem, state))
+    shortest = LEAST_STEP * ladder.step(rung)
+    share = LOCAL_SHARE * problem.tolerance**0.125
+    allowed = share * problem.tolerance
+    worst, tried, done = 0.0, 0, 0
+    least = math.inf  # error of the steps tried from the present state
+    done = _reach(problem, source, state, None, done, answer)
+    while done < len(lags):
+        tried += 1
+        if tried > MOST_STEPS:
+            raise ModelError(
+                f"implicit came to {state.time:.3g} s of {lags[-1]:.3g} s in {MOST_STEPS} steps; "
+                "raise solver.tolerance, or use solver.method krylov"
+            )
+        size = ladder.step(rung)
+        if size < max(shortest, np.finfo(float).eps * state.time):
+            raise ModelError(
+                f"implicit cannot keep a tolerance of {problem.tolerance:g} at {state.time:.3g} s: "
+                f"however short the step, its error comes to {least / share:.1g}; raise "
+                "solver.tolerance above that, or use solver.method krylov"
+            )
+        step = take_step(system, ladder.factor(rung), rhs, state, size)
+        error = gauge.relative((WEIGHTS - EMBEDDED) @ step.increment, step.value[-1])
+        growth = MOST_GROWTH if error == 0.0 else SAFETY * (allowed / error) ** 0.25
+        growth = min(max(growth, LEAST_GROWTH), MOST_GROWTH)
+        least = min(least, error)
+        if error > allowed:
+            rung = min(rung - 1, ladder.rung(size * growth))
+            continue
+        worst, least = max(worst, error / share), math.inf
+        gauge.accept(step.value[-1], state.time + size)
+        done = _reach(problem, source, state, step, done, answer)
+        state = State(
+            state.time + size,
+            step.value[-1],
+            step.increment[-1] / size,
+            state.volume + _let_in(problem, source, step, WEIGHTS),
+        )
+        last, rung = rung, ladder.rung(size * growth)
+    return worst, state, last, tried * (len(STAGES) - 1)
+
+
+def _first_step(problem: Problem, state: State) -> float:
+    """Step in which the pressure changes by about the fourth root of the tolerance, s."""
+    last = problem.lag[-1]
+    change = np.abs(state.rate).max(initial=0.0)
+    size = np.abs(state.pressure).max(initial=0.0)
+    if change == 0.0:
+        return float(last) or 1.0
+    return float(min(last or 1.0, problem.tolerance**0.25 * (size or 1.0) / change))
+
+
+def _reach(
+    problem: Problem,
+    source: int,
+    state: State,
+    step: Step | None,
+    done: int,
+    answer: Answer,
+) -> int:
+    """Record the lags up to the end of a step (none: the present); how many are done."""
+    records, system = problem.records, problem.system
+    end = state.time + (step.size if step else 0.0)
+    while done < len(problem.lag) and problem.lag[done] <= end:
+        pressure, volume = state.pressure, state.volume
+        if step:
+            weights = weights_at((problem.lag[done] - state.time) / step.size)
+            pressure = pressure + weights @ step.increment
+            volume = volume + _let_in(problem, source, step, weights)
+        answer.output[source, done] = records.rows @ pressure + records.direct[source]
+        answer.cumulative[source, done] = np.append(volume, system.storage @ pressure)
+        if len(problem.domain):
+            answer.pressure[source, done] = fill_map(problem, source, pressure[None])[0]
+        done += 1
+    return done
+
+
+def _let_in(problem: Problem, source: int, step: Step, weights: np.ndarray) -> np.ndarray:
+    """Volume that each fixed pressure lets in over the weighted stages, (fixed,) m³."""
+    records = problem.records
+    flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+    mean = records.rows @ (weights @ step.value) + weights.sum() * records.direct[source]
+    return step.size * mean[flows]
+
+
+class _Gauge:
+    """Relative size of an error of the pressure.
+
+    Pressures count against the largest pressure change; by the maximum principle that is
+    the source's own. Those of a map count against the largest of the map too, which a well
+    that stores nothing may leave far behind. Flows count against the largest value that each
+    has taken since the first lag, or a tenth (`FAINT`) of the largest flow.
+    """
+
+    def __init__(self, problem: Problem, source: int) -> None:
+        records = problem.records
+        self.first = problem.lag[problem.lag > 0][0] if problem.lag.any() else 0.0
+        flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+        self.rows = records.rows[flows]
+        self.direct = records.direct[source][flows]
+        self.check_flows = problem.check_flows
+        self.least_pressure, self.least_flow = problem.own_size(source)
+        self.seen = np.zeros(len(self.direct))
+        node, fixed = map_rows(problem.system, problem.domain)
+        self.mapped = node[node >= 0]
+        self.least_mapped = float(np.any(fixed == source))
+
+    def accept(self, pressure: np.ndarray, time: float) -> None:
+        """Remember the flows from the first lag on."""
+        if time >= self.first:
+            self.seen = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
+
+    def relative(self, error: np.ndarray, pressure: np.ndarray) -> float:
+        """The error (n,) against the pressure (n,) and the flows that it goes with.
+
+        Infinity where either is no finite number.
+        """
+        if not (np.isfinite(error).all() and np.isfinite(pressure).all()):
+            return math.inf
+        mapped = self.mapped
+        worst = max(
+            _over(error, np.abs(pressure).max(initial=self.least_pressure)),
+            _over(error[mapped], np.abs(pressure[mapped]).max(initial=self.least_mapped)),
+        )
+        if not self.check_flows:
+            return worst
+        flow = np.maximum(self.seen, np.abs(self.rows @ pressure + self.direct))
+        flow = np.maximum(flow, FAINT * flow.max(initial=self.least_flow))
+        off = np.abs(self.rows @ error)
+        return float(max(worst, np.max(off[flow > 0] / flow[flow > 0], initial=0.0)))
+
+
+def _over(error: np.ndarray, size: float) -> float:
+    """Largest error over a size, 0 where there is none."""
+    return float(np.abs(error).max(initial=0.0) / size) if size > 0.0 else 0.0

@@ -1,0 +1,339 @@
+"""Transients by rational Krylov projection: a few factorisations for all times at once.
+
+The pores obey C dp/dt = −G p + f with p(0) = 0. On a `Subspace` of shift-and-invert images
+the Galerkin projection is solved exactly in time through its eigenvalues (Güttel 2013,
+GAMM-Mitt. 36). A factor costs as much as many solves, so that two poles, each used again
+and again, serve most windows of time: one at its slow end, whose images are nearly steady
+states, and one near its fast end.
+
+The error is estimated from how the recorded outputs move while the space grows. The change
+over a few vectors is the error that the space had before them; a reduction as slow as the
+slowest of late gives the error that it has now.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from demflow.model.flow.equation.algebraic import algebraic
+from demflow.model.flow.equation.balance import transient_misfit
+from demflow.model.flow.equation.problem import Answer, Problem, empty_answer, fill_map
+from demflow.model.flow.equation.system import System
+from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise
+from demflow.model.flow.solvers.subspace import MOST_VECTORS, Basis, Subspace
+from demflow.model.network.connectivity import reached
+from demflow.model.outcome import ModelError
+
+# The reduction of the error is not even; the estimate is taken this much larger.
+CAUTION = 2.5
+
+# Vectors over which changes are taken: the estimate is the worst of them.
+WIDTHS = (1, 2, 3)
+
+SHORTEST = 3  # vectors before the first estimate
+
+# Sizes over which the slowest reduction counts: the error falls by stairs at times.
+LATE = 8
+
+# The fast pole lies above the fast end of the window, lower the wider the window is.
+ABOVE, SLOPE = 2.0, 0.25
+
+# Poles are powers of this, that sources may share their factors.
+LADDER = 2.0
+
+# An estimate is at least this part of the one before: on a stair little changes.
+FALL = 0.1
+
+# Round-off that the projection may have, of the tolerance; what is found is a tenth of it.
+NOISE_SHARE = 0.5
+
+# The same for the answer itself, which keeps volume and is differentiated.
+LAST_NOISE = 1e-3
+
+# Part of the way to the tolerance, at the rate seen, that the space grows between two checks
+# that cost as much as several vectors.
+STRIDE = 0.3
+MOST_WAIT = 4
+FEW_PORES = 2000  # up to which a check costs little more than a vector
+
+# Vectors without any gain after which what is left is round-off, how much larger than the
+# projection's own it may look, and the most of it that an answer may have.
+IDLE = 12
+ROUND_OFF, MOST_ROUND_OFF = 10.0, 1e-7
+
+# Lags at which maps are compared; the error of a map changes slowly in time.
+MAP_CHECKS = 8
+
+
+def krylov(problem: Problem) -> Answer:
+    """Step responses to the tolerance, source by source, the factors shared between them.
+
+    Raises `ModelError` where `MOST_VECTORS` do not bring the estimated error below the
+    tolerance.
+    """
+    system = problem.system
+    wells = algebraic(system)
+    answer = empty_answer(problem)
+    drained = reached(system.n, system.edge_i, system.edge_j, system.fixed_node)
+    factors = Factors(system)
+    error = residual = 0.0
+    work = 0
+    for k in problem.active_sources:
+        source = system.source(k)
+        space = Subspace(system, wells, problem.records, source, drained)
+        direct = np.zeros(system.n)
+        direct[system.pores :] = wells.direct(source)
+        growth = Growth(problem, k, space, direct)
+        if space.size:
+            error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag)))
+        basis = space.close(LAST_NOISE * problem.tolerance)
+        last, repaired = _record(problem, k, basis, direct, answer)
+        shift, factor = factors.near(1.0 / (problem.lag[-1] or 1.0))
+        rate = basis.vectors @ basis.modes.rate(problem.lag[-1:])[0]
+        misfit = transient_misfit(system, factor, shift, k, last, rate)
+        residual = float(np.max([residual, misfit, repaired]))
+        work += space.solves
+    return answer._replace(time_error=error, residual=residual, work=work + factors.made)
+
+
+class Factors:
+    """Factors of G + s C, made when first asked for on one symbolic analysis.
+
+    Shifts are rounded to a ladder, so that sources find those of one another, while the
+    shifts of each depend on itself alone.
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system = system
+        self.symbolic: Symbolic = analyse(system.n, system.edge_i, system.edge_j)
+        self._made: dict[int, Factor] = {}
+
+    @property
+    def made(self) -> int:
+        """Number of factors made so far."""
+        return len(self._made)
+
+    def near(self, shift: float) -> tuple[float, Factor]:
+        """The shift of the ladder nearest to `shift` > 0, and its factor."""
+        rung = round(math.log(shift) / math.log(LADDER))
+        shift = LADDER**rung
+        if rung not in self._made:
+            excess = self.system.excess + shift * self.system.storage
+            self._made[rung] = factorise(self.symbolic, self.system.edge_g, excess)
+        return shift, self._made[rung]
+
+
+class Poles:
+    """The poles of one source's space, used in turn."""
+
+    def __init__(self, factors: Factors, space: Subspace, lag: np.ndarray) -> None:
+        self.factors, self.space = factors, space
+        self.first = float(lag[lag > 0][0]) if lag.any() else 1.0
+        self.last = float(lag[-1]) if lag.any() else 1.0
+        self._known: list[tuple[float, Factor]] = []
+
+    def __len__(self) -> int:
+        return len(self._known)
+
+    def next(self) -> tuple[float, Factor]:
+        """The pole of the next image and its factor: a slow one, then a fast one, then in turn."""
+        if not self._known:
+            self._add(1.0 / self.last)
+        elif len(self) == 1:
+            slow, fast = self._window()
+            self._add(ABOVE * fast * (slow / fast) ** SLOPE)
+        return self._known[self.space.solves % len(self)]
+
+    def _window(self) -> tuple[float, float]:
+        """Slow and fast end of the rates that the space and the times have in common, 1/s."""
+        slow = max(1.0 / self.last, self.space.slowest())
+        fast = min(1.0 / self.first, self.space.first_decay)
+        return min(slow, fast), max(slow, fast)
+
+    def _add(self, pole: float) -> None:
+        self._known.append(self.factors.near(pole))
+
+
+class Growth:
+    """The growth of one source's space until the recorded outputs have converged."""
+
+    def __init__(self, problem: Problem, source: int, space: Subspace, direct: np.ndarray) -> None:
+        self.problem, self.source, self.space = problem, source, space
+        self.direct = problem.records.rows @ direct + problem.records.direct[source]
+        self.lag = problem.lag[problem.lag > 0]
+        some = np.unique(np.linspace(0, len(self.lag) - 1, MAP_CHECKS).astype(int))
+        self.map_lag = self.lag[some] if len(problem.domain) else self.lag[:0]
+        self.far = problem.far(source)
+        self._coefficients: dict[int, np.ndarray] = {}
+        self._reductions: dict[tuple[str, int], dict[int, float]] = {}
+        self._outputs: dict[int, np.ndarray] = {}
+
+    def to_tolerance(self, poles: Poles) -> float:
+        """Grow the space to the tolerance; the estimated error. Raises `ModelError`.
+
+        Where rates lie so far apart that round-off hides the tolerance, the space grows until
+        nothing is gained any more; the error is then that which the last vectors show.
+        """
+        space, tolerance = self.space, self.problem.tolerance
+        wait, before = 0, 1.0  # the error of no vectors: the first estimate may stand on a stair
+        seen: dict[int, float] = {}
+        while space.size < MOST_VECTORS:
+            if not space.extend(*poles.next()):
+                return 0.0  # the space holds all that the source can reach
+            wait -= 1
+            if space.size < SHORTEST or wait > 0:
+                continue
+            found, rate, cheap = self._estimate()
+            if not math.isfinite(found):
+                raise ModelError(
+                    f"krylov lost its numbers at {space.size} vectors; look for apertures that lie "
+                    "too far apart, or use solver.method implicit"
+                )
+            error, before = max(found, FALL * before), found
+            if error <= tolerance:
+                return error
+            seen[space.size] = error
+            late = [e for size, e in seen.items() if size > space.size - IDLE]
+            early = list(seen.values())[: -len(late)]
+            gained = not early or min(late) < 0.5 * min(early)
+            if not gained and max(late) <= min(ROUND_OFF * space.noise(), MOST_ROUND_OFF):
+                return max(late)
+            further = math.log(tolerance / error) / math.log(rate)
+            cheap |= self.problem.system.pores <= FEW_PORES
+            wait = 1 if cheap else min(MOST_WAIT, math.ceil(STRIDE * further))
+        raise ModelError(
+            f"krylov reached a relative error of {error:.2g} in {MOST_VECTORS} vectors, not "
+            f"{tolerance:g}; raise solver.tolerance, or record fewer decades of time"
+        )
+
+    def _estimate(self) -> tuple[float, float, bool]:
+        """Error of the space, the factor by which each vector reduces it, and whether it is cheap.
+
+        With d the largest change over the last w vectors and r the slowest of the latest
+        reductions of such changes, the error is d · r. The largest estimate of all w counts.
+        What lies far from the source may not have moved yet; where any of it is recorded,
+        the whole field has to converge as well, in the C-norm, which the coefficients tell.
+        Maps are looked at once all that has converged.
+        """
+        cheap = self.space.noise() <= NOISE_SHARE * self.problem.tolerance
+        if not cheap:
+            self.space.measure()
+            self._outputs.clear()
+            self._coefficients.clear()
+        error, rate = self._extrapolate(self._output_change)
+        if self.far:
+            error, rate = max((error, rate), self._extrapolate(self._field_change))
+        if error <= self.problem.tolerance and len(self.map_lag):
+            cheap = False
+            error, rate = max((error, rate), self._extrapolate(self._map_change))
+        return error, rate, cheap
+
+    def _extrapolate(self, change: Callable[[int, int], float]) -> tuple[float, float]:
+        """Largest estimate and slowest rate, from the change between two sizes.
+
+        Only the narrowest goes without a change before; that is 1 then, the error of no
+        vectors. Wider ones would make loose tolerances a hundred times too tight.
+        """
+        size = self.space.size
+        worst, slowest = 0.0, 0.0
+        for width in WIDTHS:
+            if size <= (width if width == WIDTHS[0] else 2 * width):
+                continue
+            now = change(size, size - width)
+            before = change(size - width, size - 2 * width) if size > 2 * width else 1.0
+            seen = self._reductions.setdefault((change.__name__, width), {})
+            seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
+            reduction = max(r for when, r in seen.items() if when > size - LATE)
+            worst = max(worst, CAUTION * now * reduction)
+            slowest = max(slowest, reduction ** (1.0 / width))
+        return worst, min(max(slowest, 0.05), 0.95)
+
+    def _known(self, size: int) -> np.ndarray:
+        """Coefficients (l, k) of the pressure in the space's first vectors."""
+        if size not in self._coefficients:
+            self._coefficients[size] = self.space.modes(size).pressure(self.lag)
+        return self._coefficients[size]
+
+    def _seen(self, size: int) -> np.ndarray:
+        """Recorded outputs (l, o) of the space's first vectors."""
+        if size not in self._outputs:
+            self._outputs[size] = self.space.outputs(self._known(size)) + self.direct
+        return self._outputs[size]
+
+    def _output_change(self, size: int, before: int) -> float:
+        """Largest relative change of an output between two sizes."""
+        now = self._seen(size)
+        change = np.abs(now - self._seen(before))
+        scale = self.problem.scale(self.source, now)
+        counts = scale > 0.0
+        return float(np.max(change[counts] / scale[counts], initial=0.0))
+
+    def _field_change(self, size: int, before: int) -> float:
+        """Largest change of the field between two sizes over the largest field, in the C-norm."""
+        now = self._known(size)
+        change = now.copy()
+        change[:, : now.shape[1] - (size - before)] -= self._known(before)
+        largest = np.linalg.norm(now, axis=1).max(initial=0.0)
+        moved = np.linalg.norm(change, axis=1).max(initial=0.0)
+        return float(moved / largest) if largest > 0.0 else 0.0
+
+    def _map_change(self, size: int, before: int) -> float:
+        """Largest change of a map between two sizes over the largest pressure."""
+        now = self.space.modes(size).pressure(self.map_lag)
+        change = now.copy()
+        change[:, : now.shape[1] - (size - before)] -= self.space.modes(before).pressure(
+            self.map_lag
+        )
+        largest = np.abs(self.space.fields(now)).max(initial=0.0)
+        moved = np.abs(self.space.fields(change)).max(initial=0.0)
+        return float(moved / largest) if largest > 0.0 else 0.0
+
+
+def _record(
+    problem: Problem, source: int, basis: Basis, direct: np.ndarray, answer: Answer
+) -> tuple[np.ndarray, float]:
+    """Fill one source's part of the answer (in place).
+
+    The pressure (n,) at the last lag, and the largest volume that had to be put right (see
+    `_balanced`) over the volume moved.
+    """
+    records, lag = problem.records, problem.lag
+    alone = records.rows @ direct + records.direct[source]
+    flows = slice(records.well_rows, records.well_rows + records.flow_rows)
+    through = records.rows[flows] @ direct
+    given = float(problem.system.source(source).sum() + through.sum())
+    pressure, integral, missing = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
+    answer.output[source] = pressure @ basis.rows.T + alone
+    answer.cumulative[source, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
+    answer.cumulative[source, :, -1] = pressure @ basis.stored
+    if len(problem.domain):
+        fields = pressure @ basis.vectors.T + direct
+        answer.pressure[source] = fill_map(problem, source, fields)
+    moved = np.abs(answer.cumulative[source]).sum(axis=1)
+    later = (lag > 0.0) & (moved > 0.0)
+    repaired = np.max(missing[later] / moved[later], initial=0.0)
+    return basis.vectors @ pressure[-1] + direct, float(repaired)
+
+
+def _balanced(
+    basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients (l, m) of the pressure and of its integral, which keep the volume.
+
+    The constants lie in the space, so that what the fixed pressures let in, `let_in` (m,) of
+    each vector, is what is stored less what is `given`. Behind a barrier the pressures that
+    drive it are nothing but round-off beside those before it. The smallest change in the
+    C-norm restores it. What was missing (l,), m³, comes with them.
+    """
+    pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
+    size = float(let_in @ let_in)
+    if size > 0.0:
+        missing = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
+        pressure += missing[:, None] * (let_in / size)
+    missing = pressure @ basis.stored - given * lag - integral @ let_in
+    if size > 0.0:
+        integral += missing[:, None] * (let_in / size)
+    return pressure, integral, np.abs(missing)

@@ -1,0 +1,315 @@
+"""The registry of solvers and the *flow* stage that runs one of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.problem import Answer, Problem
+from demflow.model.flow.equation.sites import WellSite, change_times, time_since
+from demflow.model.flow.equation.system import assemble
+from demflow.model.flow.solvers.explicit import explicit, paper_step
+from demflow.model.flow.solvers.forecast import (
+    Course,
+    Forecast,
+    course,
+    euler_error,
+    explicit_forecast,
+    implicit_forecast,
+    krylov_forecast,
+    steady_forecast,
+)
+from demflow.model.flow.solvers.implicit import implicit
+from demflow.model.flow.solvers.initial import (
+    STARTS,
+    at_rest,
+    decaying,
+    none_at_all,
+    with_linear_fields,
+)
+from demflow.model.flow.solvers.krylov import krylov
+from demflow.model.flow.solvers.steady import steady
+from demflow.model.memory import foresee
+from demflow.model.network.domains import domains_at
+from demflow.model.outcome import ModelError
+from demflow.model.products import Apertures, Network, Responses
+from demflow.model.region import Region
+from demflow.model.scene import LEAST_TOLERANCE, Probe
+
+
+class FlowSolver(NamedTuple):
+    """A way to answer a `Problem`, and what it can do.
+
+    What all of them can do is no field: they take wells at a rate and at a constant pressure,
+    and conductances that stay as they are, so that flow is linear and any schedule of rates is
+    a sum of shifted unit responses. The steady state has no times, hence no schedule.
+    """
+
+    run: Callable[[Problem], Answer]
+    forecast: Callable[[Problem, Course], Forecast]  # its time at the wanted accuracy
+    transient: bool  # gives pressure in time; else the steady state alone
+    controls_error: bool  # estimates its error in time, which `tolerance` bounds
+
+
+SOLVERS: dict[str, FlowSolver] = {
+    "explicit": FlowSolver(explicit, explicit_forecast, transient=True, controls_error=False),
+    "implicit": FlowSolver(implicit, implicit_forecast, transient=True, controls_error=True),
+    "krylov": FlowSolver(krylov, krylov_forecast, transient=True, controls_error=True),
+    "steady": FlowSolver(steady, steady_forecast, transient=False, controls_error=True),
+}
+
+
+class Choice(NamedTuple):
+    """The solver that runs, why, and the problem as it is put to it."""
+
+    method: str
+    reason: str
+    problem: Problem
+    proven: bool = True  # else its answer counts only where `euler_error` finds it good enough
+
+
+def choices(method: str, problem: Problem) -> list[Choice]:
+    """The solver named, or for `auto` all that can answer, that of least predicted time first."""
+    if method != "auto":
+        return [Choice(method, "asked for", problem)]
+    transient = bool(np.isfinite(problem.lag).all())
+    able = {name: s for name, s in SOLVERS.items() if s.transient == transient}
+    moves = course(problem)
+    forecasts = {name: solver.forecast(problem, moves) for name, solver in able.items()}
+    told = ", ".join(f"{name} {f.seconds:.2g} s" for name, f in forecasts.items())
+    size = f"{problem.system.n} unknowns, {len(problem.lag)} lags"
+    reason = f"least predicted time at a tolerance of {problem.tolerance:g} with {size}: {told}"
+    found = []
+    for name, forecast in sorted(forecasts.items(), key=lambda item: item[1].seconds):
+        put = problem
+        if forecast.safety_factor is not None:
+            put = problem._replace(safety_factor=forecast.safety_factor, step=None)
+        if math.isfinite(forecast.seconds):
+            found.append(Choice(name, reason, put, forecast.proven))
+    return found
+
+
+def choose(method: str, problem: Problem) -> Choice:
+    """The solver named, or for `auto` the one whose predicted time is least."""
+    return choices(method, problem)[0]
+
+
+def solve(method: str, problem: Problem) -> tuple[Choice, Answer]:
+    """The answer of the solver chosen; where `auto` chose one that fails, that of the next.
+
+    Raises `ModelError` where none can answer: what the first one said.
+    """
+    ranked, tolerance = choices(method, problem), problem.tolerance
+    failed: list[str] = []
+    first: ModelError | None = None
+    for choice in ranked:
+        try:
+            answer = SOLVERS[choice.method].run(choice.problem)
+            if not choice.proven and (error := euler_error(choice.problem, answer)) > tolerance:
+                raise ModelError(f"its answer shows a relative error of {error:.2g}")
+        except ModelError as told:
+            first = first or told
+            failed.append(f"; {choice.method} failed: {told}")
+        else:
+            return choice._replace(reason=choice.reason + "".join(failed)), answer
+    raise first or ModelError("no solver can answer; name one as solver.method")
+
+
+def lags(times: tuple[float, ...], wells: tuple[WellSite, ...]) -> np.ndarray:
+    """Times since a step at which responses are needed, increasing, s.
+
+    The pressure is wanted at `times` and just before every rate change; the steps are
+    those changes and the start. Without times the one lag is infinity.
+    """
+    if not times:
+        return np.array([math.inf])
+    changes = change_times(wells)
+    wanted = np.concatenate([times, changes])
+    lag = time_since(changes[None, :], wanted[:, None])
+    return np.unique(lag[lag >= 0.0])
+
+
+def flow(
+    network: Network,
+    apertures: Apertures,
+    *,
+    region: Region,
+    bulk_modulus: float,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+    active: tuple[bool, ...],
+    probes: tuple[Probe, ...],
+    times: tuple[float, ...],
+    method: str,
+    tolerance: float,
+    safety_factor: float,
+    record_map: bool,
+    step: str = "corrected",
+    check_flows: bool = True,
+    initial: str = "uniform",
+) -> Responses:
+    """Responses of the network to a unit step of each source (the *flow* stage).
+
+    The flow equation is linear while apertures stay fixed, so that any rate, schedule or
+    boundary pressure is a scaled and shifted sum of these; `model.observe` makes it.
+
+    Parameters
+    ----------
+    network, apertures : the open network; conductances in m³/(s Pa), volumes in m³, for unit depth.
+    region : part of the scene.
+    bulk_modulus : K_f of the fluid, Pa.
+    wells : where the wells are (m) and when they change (s), not how much.
+    sides : names of the sides at fixed pressure.
+    active : for each source (sides, wells at a pressure, wells at a rate, then the gradients
+        along x and y of a start from a gradient), whether it acts.
+    probes : points whose pressure is recorded.
+    times : output times in s; empty for the steady state.
+    method : a name in `SOLVERS`, or `auto` for the one of least predicted time.
+    tolerance, safety_factor, step : of the solver, see `model.scene.Solver`.
+    record_map : whether the pressure of every domain inside the region is kept.
+    check_flows : whether the tolerance holds for boundary flows too, which converge more slowly
+        than the pressure of a well.
+    initial : what the transient starts from: one pressure everywhere (`uniform`), a linear
+        field (`gradient`), or the steady state of all fixed pressures (`steady`).
+
+    Returns
+    -------
+    `Responses` of s sources (as in `active`; without the gradients, which are initial fields) at
+    l lags (s), increasing: o recorded outputs (s, l, o), first the pressure of each well at a
+    rate (Pa), then the inflow of each fixed pressure (m³/s), then the pressure of each probe;
+    volumes (s, l, fixed + 1) in m³; maps (s, l, domains). All are per unit of the source:
+    1 Pa of a fixed pressure, 1 m³/s produced by a well.
+
+    Raises `ModelError` where the solver cannot answer; its text says what to try. `OutOfMemory`
+    where the answer would not fit.
+    """
+    _check(bulk_modulus, times, tolerance, safety_factor, method, step, initial)
+    system = assemble(
+        network,
+        apertures,
+        region=region,
+        bulk_modulus=bulk_modulus,
+        wells=wells,
+        sides=sides,
+    )
+    if initial == "gradient":
+        system = with_linear_fields(system, network, wells)
+    probe_domains = domains_at(network, np.array([p.at for p in probes]).reshape(-1, 2))
+    problem = Problem(
+        system=system,
+        records=outputs(system, probe_domains),
+        lag=lags(times, wells),
+        active=np.asarray(active, dtype=bool),
+        domain=np.flatnonzero(network.inside) if record_map else np.empty(0, dtype=np.int64),
+        tolerance=tolerance,
+        safety_factor=safety_factor,
+        step=paper_step(network, apertures, bulk_modulus, system.domain)
+        if step == "paper"
+        else None,
+        check_flows=check_flows,
+    )
+    _foresee(problem)
+    start = none_at_all(problem)
+    if initial == "steady":
+        start = at_rest(problem)
+        moves = np.arange(system.source_count) >= system.fixed_count
+        problem = problem._replace(active=problem.active & moves)
+    choice, answer = solve(method, problem)
+    _check_finite(answer, choice.method)
+    met = answer.time_error <= tolerance if SOLVERS[choice.method].controls_error else math.nan
+    if initial == "gradient":
+        answer, start = decaying(problem, answer)
+    return Responses(
+        lag=problem.lag,
+        output=answer.output,
+        cumulative=answer.cumulative,
+        pressure=answer.pressure,
+        domain=problem.domain,
+        reached=system.reached(problem.domain),
+        time_error=np.asarray(answer.time_error),
+        tolerance_met=np.asarray(float(met)),
+        residual=np.asarray(answer.residual),
+        work=np.asarray(answer.work),
+        probe_reached=system.reached(probe_domains),
+        isolated=np.asarray(system.isolated),
+        initial_output=start.output,
+        initial_cumulative=start.cumulative,
+        initial_pressure=start.pressure,
+        initial_volume=start.volume,
+        solver=np.asarray(choice.method),
+        solver_reason=np.asarray(choice.reason),
+    )
+
+
+def _foresee(problem: Problem) -> None:
+    """Raise `OutOfMemory` where the answer would not fit, before it is begun."""
+    sources, lags = problem.system.source_count, len(problem.lag)
+    recorded = problem.records.rows.shape[0] + problem.records.flow_rows + 1
+    maps, field = len(problem.domain), problem.system.n if len(problem.domain) else 0
+    foresee(
+        f"the responses of {sources} sources at {lags} lags with maps of {maps} pores",
+        np.dtype(float).itemsize * lags * (sources * (recorded + maps) + field),
+        "ask for fewer times, changes of rate (every two make a lag) or maps",
+    )
+
+
+def _check_finite(answer: Answer, method: str) -> None:
+    """Raise `ModelError` where a solver gave what is no number."""
+    for what in ("output", "cumulative", "pressure", "residual"):
+        if not np.isfinite(getattr(answer, what)).all():
+            raise ModelError(
+                f"{method} gave a {what} that is no finite number; look for apertures or volumes "
+                "that lie too far apart, or use another solver.method"
+            )
+
+
+def _check(
+    bulk_modulus: float,
+    times: tuple[float, ...],
+    tolerance: float,
+    safety_factor: float,
+    method: str,
+    step: str,
+    initial: str,
+) -> None:
+    """Raise `ModelError` for what no solver can be asked, before time is spent."""
+    if method != "auto" and method not in SOLVERS:
+        raise ModelError(f"there is no solver {method}, only auto, {', '.join(SOLVERS)}")
+    if initial not in STARTS:
+        raise ModelError(f"there is no start {initial}, only {', '.join(STARTS)}")
+    if not 0.0 < bulk_modulus < math.inf:
+        raise ModelError(
+            f"a bulk modulus of {bulk_modulus:g} Pa leaves no storage to flow from; give a finite "
+            "fluid.bulk_modulus above 0 Pa (water has 2.2e9), or no times for the steady state"
+        )
+    if not LEAST_TOLERANCE <= tolerance < 1.0:
+        raise ModelError(
+            f"no solver keeps a tolerance of {tolerance:g}; give a solver.tolerance between "
+            f"{LEAST_TOLERANCE:g}, below which round-off rules, and 1"
+        )
+    if not 0.0 < safety_factor < math.inf:
+        raise ModelError(
+            f"a safety factor of {safety_factor:g} gives no step; give a solver.safety_factor "
+            "above 0, of which up to 1 is always stable"
+        )
+    if step == "paper" and method != "explicit":
+        raise ModelError(
+            f"step paper is that of solver.method explicit, not of {method}; ask for explicit, or "
+            "leave solver.step out"
+        )
+    given = np.asarray(times, dtype=float)
+    wrong = np.flatnonzero(~(np.isfinite(given) & (np.diff(given, prepend=0.0) > 0.0)))
+    if len(wrong):
+        raise ModelError(
+            f"times are finite and increase, from above zero on, but number {wrong[0]} is "
+            f"{given[wrong[0]]:g} s; put them in order, each once"
+        )
+    if method != "auto" and SOLVERS[method].transient != bool(times):
+        what = "needs times; give some, or take steady for the state at rest"
+        if not SOLVERS[method].transient:
+            what = "has no times; leave them out, or take auto for a transient"
+        raise ModelError(f"solver.method {method} {what}")

@@ -1,0 +1,1 @@
+"""Stages that load a rock: to a state of stress, or to failure."""

@@ -1,0 +1,1 @@
+"""Grains that move: one step, walls that follow stresses, and the loop to equilibrium."""

@@ -1,0 +1,179 @@
+"""The rock in units of mean radius and k_n: packed grains, cement on them, joints through it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.mechanics.contact.bonds import (
+    PARALLEL_BONDS,
+    BondState,
+    install,
+    no_bonds,
+    strengths,
+)
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import Array, at_rest, scaled_mass
+from demflow.model.mechanics.contact.joints import Trace
+from demflow.model.mechanics.contact.neighbours import Pairs, find_pairs, no_pairs
+from demflow.model.mechanics.motion.equilibrium import TIME_STEP, Specimen
+from demflow.model.mechanics.specimen.measures import listed
+from demflow.model.products import Packing
+from demflow.model.scene import Bonds, JointLine
+
+
+class Scaled(NamedTuple):
+    """Packed grains in units of their mean radius, the box around the origin."""
+
+    unit: float  # m: the mean radius
+    x: Array  # (n,)
+    y: Array
+    radius: Array
+    box: Array  # (4,)
+    middle: Array  # (2,) of the box, where the packing has it
+
+
+def scaled(packing: Packing) -> Scaled:
+    """The packed grains in units of their mean radius."""
+    unit = float(packing.radius.mean())
+    box = packing.box / unit
+    middle = 0.5 * np.array([box[0] + box[1], box[2] + box[3]])
+    return Scaled(
+        unit,
+        packing.x / unit - middle[0],
+        packing.y / unit - middle[1],
+        packing.radius / unit,
+        box - np.repeat(middle, 2),
+        middle,
+    )
+
+
+def specimen_of(
+    packing: Packing,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds | None,
+    joints: tuple[JointLine, ...] = (),
+    seed: int = 0,
+) -> Specimen:
+    """The packed grains in units of mean radius and k_n, centred, with bonds and joints."""
+    unit, x, y, radius, box, middle = scaled(packing)
+    a, b = packing.contact_a, packing.contact_b
+    limit = friction * packing.normal_force
+    shear = np.clip(packing.shear_force, -limit, limit) / unit
+    cement = no_bonds()
+    if bonds is not None:
+        if bonds.installation_gap > 0.0:
+            a, b, shear = _with_near(a, b, shear, x, y, radius, bonds.installation_gap)
+        distance = np.hypot(x[b] - x[a], y[b] - y[a])
+        cement = cemented(
+            bonds, radius[a], radius[b], distance, normal_stiffness, stiffness_ratio, seed
+        )
+    contacts = Pairs(
+        start=np.searchsorted(a, np.arange(len(x) + 1)),
+        one=a.astype(np.int32),
+        other=b.astype(np.int32),
+        shear=shear,
+        bond=np.arange(len(a), dtype=np.int32) if bonds else np.full(len(a), -1, np.int32),
+        x=x,
+        y=y,
+    )
+    traces = [_trace(line, unit, middle, normal_stiffness) for line in joints]
+    law = ContactLaw(1.0, 1.0 / stiffness_ratio, friction)
+    mass = scaled_mass(radius, _stiffest(law, cement, radius, traces), TIME_STEP)
+    return Specimen(
+        at_rest(x, y, radius, mass),
+        box,
+        law,
+        bonds=cement,
+        known=contacts,
+        traces=traces,
+    )
+
+
+def cemented(
+    bonds: Bonds,
+    radius_a: Array,
+    radius_b: Array,
+    distance: Array,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    seed: int,
+) -> BondState:
+    """Bonds between grains of radii (m,), a distance apart."""
+    random = np.random.Generator(np.random.PCG64([seed, len(distance)]))
+    tensile, shear = (
+        strengths(mean / normal_stiffness, deviation / normal_stiffness, len(distance), random)
+        for mean, deviation in (
+            (bonds.tensile_strength, bonds.tensile_deviation),
+            (bonds.shear_strength, bonds.shear_deviation),
+        )
+    )
+    return install(
+        bonds.kind,
+        tensile_strength=tensile,
+        shear_strength=shear,
+        friction=bonds.friction,
+        radius_multiplier=bonds.radius_multiplier,
+        # the grains' E_c = k_n, where it has none of its own
+        modulus=1.0 if bonds.modulus is None else bonds.modulus / normal_stiffness,
+        stiffness_ratio=bonds.stiffness_ratio or stiffness_ratio,
+        radius_a=radius_a,
+        radius_b=radius_b,
+        distance=distance,
+    )
+
+
+def _with_near(
+    a: Array,
+    b: Array,
+    shear: Array,
+    x: Array,
+    y: Array,
+    radius: Array,
+    gap: float,
+) -> tuple[Array, Array, Array]:
+    """Contacts (a, b) with their shear forces, and pairs up to a gap apart, sorted by (a, b)."""
+    n = len(x)
+    grains = at_rest(x, y, radius, np.ones(n))
+    known = a * n + b
+    near_a, near_b = listed(find_pairs(grains, gap, no_pairs(n)))
+    every = np.union1d(known, near_a * n + near_b)
+    held = np.zeros(len(every))
+    held[np.searchsorted(every, known)] = shear
+    return every // n, every % n, held
+
+
+def _trace(line: JointLine, unit: float, middle: Array, normal_stiffness: float) -> Trace:
+    """A joint in units of mean radius and k_n; a stiffness per area is one over length more."""
+    start, end = ((np.array(point) / unit - middle).tolist() for point in (line.start, line.end))
+    joint = line.joint
+    return Trace(
+        start=(start[0], start[1]),
+        end=(end[0], end[1]),
+        normal_stiffness=joint.normal_stiffness * unit / normal_stiffness,
+        shear_stiffness=joint.shear_stiffness * unit / normal_stiffness,
+        friction=joint.friction,
+        tensile_strength=joint.tensile_strength / normal_stiffness,
+        cohesion=joint.cohesion / normal_stiffness,
+        dilation=float(np.tan(joint.dilation_angle)),
+    )
+
+
+def _stiffest(law: ContactLaw, cement: BondState, radius: Array, traces: list[Trace]) -> float:
+    """Stiffness of the stiffest contact, along its normal or across it.
+
+    Bending adds nothing: k_r is at most k_n r² / 3, and grains that turn against each other
+    bend a bond that they do not shear.
+    """
+    bonded = max(law.kn, law.ks) + (
+        float(np.maximum(cement.kn, cement.ks).max(initial=0.0))
+        if cement.kind == PARALLEL_BONDS
+        else 0.0
+    )
+    joined = [
+        2.0 * radius.max() * max(trace.normal_stiffness, trace.shear_stiffness) for trace in traces
+    ]
+    return max(bonded, *joined) if joined else bonded

@@ -1,0 +1,1 @@
+"""The static solver: what carries load, its stiffness and factor, and superposed unit loads."""

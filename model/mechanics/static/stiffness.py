@@ -1,0 +1,151 @@
+"""Stiffness of bonded grains between walls: assembled, factored once, solved many times.
+
+Unknowns are each grain's displacement and rotation (u_x, u_y, θ), 3 n of them, then the
+outward displacement of the right wall and that of the top wall; the left and bottom walls
+stand. A contact strains by Δu·n and slides by Δu·t − θ_a l_a − θ_b l_b, as `contacts` has it.
+Grains that nothing holds would make the matrix singular: every unknown is held besides by
+a spring of ANCHOR, which corrections against the true forces (`static`) take out again.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import qdldl
+from scipy.sparse import coo_array, csc_array
+
+from demflow.model.compile import kernel
+from demflow.model.mechanics.contact.bonds import PARALLEL_BONDS, BondState
+from demflow.model.mechanics.contact.contacts import ContactLaw
+from demflow.model.mechanics.contact.grains import Array, Grains
+
+ANCHOR = 1e-8  # over k_n
+TOUCHING = 1e-6  # gap, in mean radii, below which grains count as touching
+
+
+class Factor(NamedTuple):
+    """P K Pᵀ = L D Lᵀ, L with a unit diagonal."""
+
+    order: Array  # (m,) unknown eliminated k-th
+    start: Array  # (m + 1,) first entry of each column of L
+    row: Array  # (entries,) int32
+    lower: Array  # (entries,)
+    pivot: Array  # (m,)
+
+
+class Contacts(NamedTuple):
+    """Contacts of a stiffness matrix: c between grains, and those with the four walls."""
+
+    a: Array  # (c,) a < b
+    b: Array
+    bond: Array  # (c,) index of the bond, −1 for none
+    walls: tuple[Array, ...]  # grains at left, right, bottom, top
+
+
+def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw) -> csc_array:
+    """The stiffness matrix (3 n + 2, 3 n + 2) about the present positions, over k_n.
+
+    Every contact carries tension as it does compression, see `springs`.
+    """
+    n = len(grains.x)
+    a, b = contacts.a, contacts.b
+    dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
+    distance = np.hypot(dx, dy)
+    nx, ny = dx / distance, dy / distance
+    overlap = grains.radius[a] + grains.radius[b] - distance
+    arm_a, arm_b = grains.radius[a] - 0.5 * overlap, grains.radius[b] - 0.5 * overlap
+    kn, ks, kr = springs(overlap, contacts.bond, bonds, law)
+    zero, one = np.zeros(len(a)), np.ones(len(a))
+    strains = (
+        (kn, (-nx, -ny, zero, nx, ny, zero)),
+        (ks, (ny, -nx, -arm_a, -ny, nx, -arm_b)),
+        (kr, (zero, zero, -one, zero, zero, one)),
+    )
+    local = np.zeros((len(a), 6, 6))
+    for stiffness, strain in strains:
+        column = np.column_stack(strain)
+        local += (stiffness[:, None] * column)[:, :, None] * column[:, None, :]
+    unknown = np.column_stack([3 * a, 3 * a + 1, 3 * a + 2, 3 * b, 3 * b + 1, 3 * b + 2])
+    rows = [np.repeat(unknown, 6, axis=1).ravel()]
+    columns = [np.tile(unknown, 6).ravel()]
+    values = [local.ravel()]
+    every = np.arange(3 * n + 2)
+    rows.append(every)
+    columns.append(every)
+    values.append(np.full(3 * n + 2, ANCHOR * law.kn))
+    for side, held in enumerate(contacts.walls):
+        at = 3 * held + side // 2
+        k = np.full(len(held), law.kn)
+        rows.append(at)
+        columns.append(at)
+        values.append(k)
+        if side % 2 == 1:
+            wall = np.full(len(held), 3 * n + side // 2)
+            rows += [wall, at, wall]
+            columns += [wall, wall, at]
+            values += [k, -k, -k]
+    return coo_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
+        shape=(3 * n + 2, 3 * n + 2),
+    ).tocsc()
+
+
+def springs(
+    overlap: Array, bond: Array, bonds: BondState, law: ContactLaw
+) -> tuple[Array, Array, Array]:
+    """Normal, shear and bending stiffness (c,) of contacts by overlap and bond, −1 for none.
+
+    A parallel bond adds its own to the grains', and stands alone across a gap. Contact bonds
+    are as stiff there as grains that touch.
+    """
+    kn, ks, kr = np.full(len(bond), law.kn), np.full(len(bond), law.ks), np.zeros(len(bond))
+    if bonds.kind == PARALLEL_BONDS:
+        apart = overlap < -TOUCHING
+        kn[apart] = ks[apart] = 0.0
+        glued = bond >= 0
+        of = bond[glued]
+        kn[glued] += bonds.kn[of]
+        ks[glued] += bonds.ks[of]
+        kr[glued] += bonds.kr[of]
+    return kn, ks, kr
+
+
+def factorise(stiffness: csc_array) -> Factor:
+    """Factor a symmetric matrix, in approximate-minimum-degree order."""
+    upper = stiffness.copy()
+    keep = upper.indices <= np.repeat(np.arange(upper.shape[1]), np.diff(upper.indptr))
+    counts = np.concatenate([[0], np.cumsum(keep)])[upper.indptr]
+    upper = csc_array((upper.data[keep], upper.indices[keep], counts), shape=upper.shape)
+    lower, pivot, order = qdldl.Solver(upper, upper=True).factors()
+    lower = csc_array(lower)
+    return Factor(
+        np.asarray(order, dtype=np.int64),
+        lower.indptr.astype(np.int64),
+        lower.indices.astype(np.int32),
+        lower.data.astype(float),
+        np.array(pivot, dtype=float),
+    )
+
+
+def solve(factor: Factor, load: Array) -> Array:
+    """Displacements (m,) under loads (m,)."""
+    work = load[factor.order]
+    _substitute(factor.start, factor.row, factor.lower, factor.pivot, work)
+    found = np.empty_like(work)
+    found[factor.order] = work
+    return found
+
+
+@kernel
+def _substitute(start: Array, row: Array, lower: Array, pivot: Array, x: Array) -> None:
+    """Solve L D Lᵀ x = x in place."""
+    for k in range(x.size):
+        value = x[k]
+        for p in range(start[k], start[k + 1]):
+            x[row[p]] -= lower[p] * value
+    for k in range(x.size - 1, -1, -1):
+        value = x[k] / pivot[k]
+        for p in range(start[k], start[k + 1]):
+            value -= lower[p] * x[row[p]]
+        x[k] = value

@@ -1,0 +1,314 @@
+"""What each command does with its options; data to stdout, messages to stderr.
+
+Each imports what it needs, so that `demflow --help` and `check` answer at once.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from demflow.sweep.study.yaml_source import StudyError
+
+if TYPE_CHECKING:
+    from demflow.sweep.engine import Finished
+    from demflow.sweep.prepared import Prepared
+
+GOOD, SOME_FAILED, WRONG = 0, 1, 2  # exit status
+MOST_SHOWN = 20  # failed cases that `status` names one by one
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run what is missing, collect the dataset, draw the figures."""
+    from demflow.sweep.engine import run_study
+    from demflow.sweep.execution.progress import ProgressLine
+
+    line = ProgressLine()
+    try:
+        finished = run_study(
+            options.study,
+            workers=options.workers,
+            results=options.results,
+            scheduler=options.scheduler,
+            retry_failed=options.retry_failed,
+            force=options.force,
+            smoke=options.smoke,
+            progress=line,
+            tell=say,
+        )
+    finally:
+        line.close()
+    for message in finished.messages():
+        say(message)
+    say(_summary(finished))
+    if finished.failed:
+        say(
+            f"why: demflow status {options.study}{_where(options)}; "
+            "`--retry-failed` tries failed cases again"
+        )
+    _tell_places(finished, options)
+    return SOME_FAILED if finished.failed else GOOD
+
+
+def check(options: argparse.Namespace) -> int:
+    """Validate a study: every problem at once."""
+    from demflow.sweep.study.load import load_study
+
+    try:
+        study = load_study(options.study)
+    except StudyError as error:
+        if options.json:
+            keys = ("path", "line", "column", "message")
+            found = [{key: getattr(p, key) for key in keys} for p in error.problems]
+            _print_json({"valid": False, "problems": found})
+        else:
+            print(error)
+        return WRONG
+    cases = _product(study.shape)
+    if options.json:
+        _print_json({"valid": True, "problems": [], "study": study.name, "cases": cases})
+    else:
+        print(f"{options.study}: valid, {_count(cases, 'case')}")
+    return GOOD
+
+
+def plan(options: argparse.Namespace) -> int:
+    """Tell what `run` would do."""
+    from demflow.sweep.command.forecast import forecast
+    from demflow.sweep.execution.progress import duration, size
+
+    told = forecast(_prepare(options), options.workers)
+    if options.json:
+        _print_json(told)
+        return GOOD
+    print(f"{_count(told['cases'], 'case')}, {options.workers} workers")
+    if told["impossible"]:
+        print(f"{_count(told['impossible'], 'case')} cannot be: see demflow status")
+    rows = [("stage", "runs", "shared", "stored", "failed", "to run", "each", "time", "disk")]
+    for stage in (stage for stage in told["stages"] if stage["runs"]):
+        counts = (stage[key] for key in ("runs", "shared", "stored", "failed", "to_run"))
+        needed = stage["to_run"] > 0
+        rows.append(
+            (
+                stage["name"],
+                *map(str, counts),
+                _known(stage["seconds_each"], duration),
+                _known(stage["seconds"], duration) if needed else "-",
+                _known(stage["bytes"], size) if needed else "-",
+            )
+        )
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for name, *cells in rows:
+        numbers = (c.rjust(w) for c, w in zip(cells, widths[1:], strict=True))
+        print("  ".join((name.ljust(widths[0]), *numbers)))
+    for name, unit in (("seconds", duration), ("bytes", size), ("memory", size)):
+        label = {"seconds": "time", "bytes": "disk"}.get(name, name)
+        more = "" if told[name] is not None else "at least "
+        least = told["at_least"][name]
+        print(f"expected {label}: {'?' if more and not least else more + unit(least)}")
+    if told["unknown"]:
+        print(f"?: never run on this machine: {', '.join(told['unknown'])}")
+    time, memory = told["limits"]["time"], told["limits"]["memory"]
+    print(f"limits of a case: {duration(time)}, {size(memory)} (the study's limits, or by default)")
+    return GOOD
+
+
+def status(options: argparse.Namespace) -> int:
+    """Tell what is done, failed and missing."""
+    from demflow.model.outcome import Status
+    from demflow.sweep.engine import as_expected
+
+    prepared = _prepare(options)
+    verdicts = prepared.verdicts()
+    count = {s: sum(v.status is s for v in verdicts) for s in Status}
+    missing, done = count[Status.NOT_RUN], count[Status.DONE]
+    failed = len(verdicts) - missing - done
+    again = prepared.tried_again(verdicts)
+    bad = [
+        (case, v)
+        for case, v in enumerate(verdicts)
+        if v.status not in (Status.DONE, Status.NOT_RUN)
+    ]
+    if options.json:
+        cases = [
+            {
+                **_at(prepared, case),
+                "status": v.status.name.lower(),
+                "message": v.message,
+                "tried_again": bool(again[case]),
+            }
+            for case, v in bad
+        ]
+        told = {"study": prepared.study.name, "cases": len(verdicts), "done": done}
+        _print_json({**told, "failed": failed, "missing": missing, "failures": cases})
+    else:
+        print(f"{len(verdicts)} cases: {done} done, {failed} failed, {missing} missing")
+        for case, v in bad[:MOST_SHOWN]:
+            print(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
+        if len(bad) > MOST_SHOWN:
+            print(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
+        others = len(bad) - int(again.sum()) - len(prepared.plan.impossible)
+        for message in _what_next(int(again.sum()), others):
+            say(message)
+    good = as_expected(prepared, verdicts) | [v.status is Status.NOT_RUN for v in verdicts]
+    return GOOD if good.all() else SOME_FAILED
+
+
+def _what_next(again: int, others: int) -> Iterator[str]:
+    """What becomes of cases that failed."""
+    if again:
+        yield f"{again} of them: tried again by the next run, which has more time or memory"
+    if others:
+        yield f"`demflow run --retry-failed` tries {'all' if again else 'them'} again"
+
+
+def report(options: argparse.Namespace) -> int:
+    """Draw figures and report from the dataset."""
+    from demflow.sweep.engine import draw_study
+
+    finished = draw_study(options.study, options.results, smoke=options.smoke)
+    _tell_places(finished, options)
+    return SOME_FAILED if finished.failed else GOOD
+
+
+def verify(options: argparse.Namespace) -> int:
+    """Re-hash every stored product and every dataset."""
+    from demflow.sweep.command.upkeep import verify
+
+    found = verify(options.folder)
+    if options.json:
+        damaged = [{"file": str(path), "problem": what} for path, what in found.damaged]
+        told = {"checked": found.checked, "damaged": damaged, "set_aside": found.set_aside}
+        _print_json(told)
+    else:
+        for path, what in found.damaged:
+            print(f"{path}: {what}")
+        print(f"{_count(found.checked, 'file')} checked, {len(found.damaged)} damaged")
+    if found.damaged and found.set_aside:
+        say("damaged files were set aside; the next run makes them again")
+    return SOME_FAILED if found.damaged else GOOD
+
+
+def clean(options: argparse.Namespace) -> int:
+    """Free what no study of a results folder refers to."""
+    from demflow.sweep.command.upkeep import free, unwanted
+    from demflow.sweep.execution.progress import size
+
+    found = unwanted(options.folder)
+    amount = f"{_count(len(found.files), 'file')}, {size(found.bytes)}"
+    say(f"no study in {options.folder} refers to {amount}")
+    freed = bool(found.files) and (options.yes or _agreed("free them?"))
+    if freed:
+        found = free(options.folder)
+    elif found.files:
+        say("nothing was freed; --yes frees them")
+    if options.json:
+        _print_json({"files": len(found.files), "bytes": found.bytes, "freed": freed})
+    elif freed:
+        print(f"freed {_count(len(found.files), 'file')}, {size(found.bytes)}")
+    return GOOD
+
+
+def schema(options: argparse.Namespace) -> int:
+    """Print the JSON Schema of a study."""
+    from demflow.sweep.study.schema import study_schema
+
+    _print_json(study_schema())
+    return GOOD
+
+
+def _prepare(options: argparse.Namespace) -> Prepared:
+    from demflow.sweep.prepared import prepare
+
+    return prepare(options.study, options.results, smoke=options.smoke)
+
+
+def _summary(finished: Finished) -> str:
+    from demflow.sweep.execution.progress import duration
+
+    good = finished.cases - finished.failed
+    text = f"{good} of {finished.cases} cases good"
+    if finished.failed:
+        text += f", {finished.failed} failed"
+    if finished.executed is None:
+        return f"{text}; all were stored, nothing was computed"
+    done = finished.executed
+    return f"{text}; {_count(done.computed, 'stage run')} in {duration(done.seconds)}"
+
+
+def _tell_places(finished: Finished, options: argparse.Namespace) -> None:
+    places = {"dataset": finished.dataset, "figures": finished.folder / "figures"}
+    if finished.report is not None:
+        places["report"] = finished.report
+    if options.json:
+        told = {"study": finished.folder.name, "cases": finished.cases, "failed": finished.failed}
+        computed = finished.executed.computed if finished.executed else 0
+        _print_json({**told, "computed": computed, **{k: str(v) for k, v in places.items()}})
+        return
+    for name, path in places.items():
+        print(f"{name:8} {path}")
+
+
+def _at(prepared: Prepared, case: int) -> dict[str, Any]:
+    """Where a case lies, in the coordinates of the dataset."""
+    import numpy as np
+
+    from demflow.sweep.study.cases import coordinates
+
+    index = np.unravel_index(case, prepared.study.shape) if prepared.study.axes else ()
+    return {
+        axis.name: coordinates(axis)[0].values[int(k)].item()
+        for axis, k in zip(prepared.study.axes, index, strict=True)
+    }
+
+
+def _place(prepared: Prepared, case: int) -> str:
+    """Where a case lies, in words and with units."""
+    import numpy as np
+
+    from demflow.sweep.study.load import setting
+
+    axes = prepared.study.axes
+    index = np.unravel_index(case, prepared.study.shape) if axes else ()
+    settings = (setting(axis, int(k)) for axis, k in zip(axes, index, strict=True))
+    return ", ".join(settings) or "the case"
+
+
+def _where(options: argparse.Namespace) -> str:
+    smoke = " --smoke" if options.smoke else ""
+    return smoke if options.results == "results" else f"{smoke} --results {options.results}"
+
+
+def _agreed(question: str) -> bool:
+    """Ask whoever sits at a terminal; where nobody does, the answer is no."""
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        return False
+    print(f"{question} [y/N] ", end="", file=sys.stderr, flush=True)
+    return sys.stdin.readline().strip().lower() in ("y", "yes")
+
+
+def say(message: str) -> None:
+    """Tell a user something."""
+    print(message, file=sys.stderr, flush=True)
+
+
+def _print_json(content: Any) -> None:
+    print(json.dumps(content, indent=2))
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}" if number == 1 else f"{number} {thing}s"
+
+
+def _product(numbers: Sequence[int]) -> int:
+    product = 1
+    for number in numbers:
+        product *= number
+    return product
+
+
+def _known(number: float | None, shown: Callable[[float], str]) -> str:
+    return "?" if number is None else shown(number)

@@ -1,0 +1,209 @@
+"""What a run has left: the dataset of a study, and the maps of one case."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from demflow.model.quantities import COORDINATES, MAPS, TESTS
+from demflow.model.scene import Scene
+from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
+from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
+from demflow.sweep.errors import ResultsError
+from demflow.sweep.execution.worker import build
+from demflow.sweep.plan.graph import MODEL, case_maps, make_plan, stage_table
+from demflow.sweep.store.products import DamagedError, MissingError, Store, StoreError
+from demflow.sweep.store.versions import installed
+from demflow.sweep.study.cases import case_at, coordinates
+from demflow.sweep.study.load import Study, StudyError, load_study
+
+
+def open_results(folder: str | Path) -> xr.Dataset:
+    """Return the dataset of a study, loaded into memory.
+
+    Parameters
+    ----------
+    folder : `results/<study>`, or its `dataset.nc`.
+
+    Raises ResultsError where no dataset lies there.
+    """
+    path = Path(folder)
+    path = path / DATASET_FILE if path.is_dir() or path.suffix != ".nc" else path
+    with _opened(path) as dataset:
+        return _without_fill_values(dataset.load())
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[xr.Dataset]:
+    """The dataset at a path. Raises ResultsError where it is not there or cannot be read."""
+    if not path.is_file():
+        raise ResultsError(f"{path} does not exist; `demflow run` writes it")
+    try:
+        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
+            yield dataset
+    except OSError as error:
+        raise ResultsError(f"{path} cannot be read: {error}") from error
+
+
+def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
+    """Return the maps of one case: pores, pipes, grains and pressure, or a test's curves.
+
+    Parameters
+    ----------
+    folder : `results/<study>`.
+    at : a value for every axis of the study, as the dataset's coordinates have it (SI,
+        angles in degrees). The nearest value is not taken in silence.
+
+    Returns
+    -------
+    The variables of `model.quantities.MAPS` as far as observed, and `TESTS` of a test to
+    failure; the polygons of the domains are the UGRID mesh `mesh`, its faces the domains. The
+    case's values on the axes are coordinates under the names of the axes, or as `axis_…` where
+    a map has that name (`aperture`).
+
+    Raises ResultsError where an axis is left open, a value is none of the axis's, or the
+    case is not there or not whole. Nothing is written, but a damaged file is set aside.
+    """
+    return case_of(Path(folder), at)
+
+
+def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Dataset:
+    """Do what `open_case` does, with any table of stages."""
+    if not (folder / STUDY_FILE).is_file():
+        raise ResultsError(f"{folder} holds no results: there is no {STUDY_FILE} in it")
+    try:
+        study = load_study(folder / STUDY_FILE, smoke=_smoke(folder))
+        store = Store.open(folder.resolve().parent / "store", create=False)
+    except (StudyError, StoreError) as error:
+        raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
+    index = _index(study, at)
+    scene = case_at(study, index).scene
+    plan = make_plan([scene], stage_table(table))
+    products: dict[str, Any] = {}
+    for run in plan.runs:
+        stage = plan.stages[run.stage]
+        try:
+            products[stage.name] = build(stage.product, store.get(run.id).arrays)
+        except MissingError:
+            failure = store.failure(run.id)
+            why = failure["message"] if failure else "it was not run; `demflow run` computes it"
+            raise ResultsError(f"the case has no {stage.name}: {why}") from None
+        except (DamagedError, OSError) as error:
+            why = f"{error}; `demflow run` computes what is damaged again"
+            raise ResultsError(f"the case's {stage.name} cannot be read: {why}") from error
+    return _dataset(study, scene, case_maps(scene, products), index)
+
+
+def _smoke(folder: Path) -> bool:
+    with _opened(folder / DATASET_FILE) as dataset:
+        return dataset.attrs.get("study_smoke") == "yes"
+
+
+def _index(study: Study, at: Mapping[str, Any]) -> tuple[int, ...]:
+    """Position of a case along each axis, from the values of the axes."""
+    names = [axis.name for axis in study.axes]
+    problems = [
+        f"{name} is no axis of the study; its axes are {', '.join(names) or 'none'}"
+        for name in at
+        if name not in names
+    ]
+    index = []
+    for axis in study.axes:
+        values = coordinates(axis)[0].values
+        valid = ", ".join(_shown(v) for v in values)
+        if axis.name not in at:
+            problems.append(f"{axis.name} is left open; give one of {valid}")
+            continue
+        found = [k for k, value in enumerate(values) if _same(value, at[axis.name])]
+        if not found:
+            problems.append(f"{axis.name} = {at[axis.name]} is not there; give one of {valid}")
+            continue
+        index.append(found[0])
+    if problems:
+        raise ResultsError("; ".join(problems))
+    return tuple(index)
+
+
+def _same(value: Any, given: Any) -> bool:
+    """Equal up to the last digits, which units and decimal notation take or give."""
+    if isinstance(given, xr.DataArray | np.ndarray | np.generic) and given.size == 1:
+        given = given.item()
+    if isinstance(value, np.str_) or not isinstance(given, int | float):
+        return isinstance(given, str) and str(value) == given
+    return bool(np.isclose(float(value), float(given), rtol=1e-9, atol=0.0, equal_nan=True))
+
+
+def _shown(value: Any) -> str:
+    return str(value) if isinstance(value, np.str_) else f"{float(value):.12g}"
+
+
+def _dataset(
+    study: Study, scene: Scene, maps: dict[str, np.ndarray], index: tuple[int, ...]
+) -> xr.Dataset:
+    variables: dict[str, Any] = {}
+    for name, quantity in {**MAPS, **TESTS}.items():
+        if name in maps:
+            array = np.asarray(maps[name])
+            # a steady study has no times
+            dimensions = quantity.dimensions[len(quantity.dimensions) - array.ndim :]
+            variables[name] = (dimensions, array, quantity_attributes(quantity))
+            if dimensions[-1] == "domain":
+                variables[name][2].update(mesh="mesh", location="face")
+    if "mesh_face_nodes" in maps:
+        variables |= _mesh(maps)
+    scalars: dict[str, Any] = {}
+    for axis, k in zip(study.axes, index, strict=True):
+        own = coordinates(axis)[0]
+        name = f"axis_{axis.name}" if axis.name in variables else axis.name
+        unit = {"units": own.unit} if own.unit else {}
+        scalars[name] = ((), own.values[k], {**unit, "long_name": own.long_name})
+    if "elapsed_time" in {d for v in variables.values() for d in v[0]}:
+        attributes = quantity_attributes(COORDINATES["elapsed_time"])
+        scalars["elapsed_time"] = ("elapsed_time", np.array(scene.times), attributes)
+    scalars |= {name: variables.pop(name) for name in ("x", "y") if name in variables}
+    attributes = {
+        "Conventions": f"{CONVENTIONS} UGRID-1.0",
+        "title": f"{study.title}: one case",
+        "history": f"opened by demflow {installed('demflow')} from stored stage runs",
+        "study": study.name,
+        "study_sha256": study.sha256,
+    }
+    return _without_fill_values(xr.Dataset(variables, scalars, attributes))
+
+
+def _without_fill_values(dataset: xr.Dataset) -> xr.Dataset:
+    """Let no coordinate get a fill value where the dataset is saved again: CF forbids it."""
+    for coordinate in dataset.coords.values():
+        coordinate.encoding["_FillValue"] = None
+    return dataset
+
+
+def _mesh(maps: dict[str, np.ndarray]) -> dict[str, Any]:
+    """The polygons of the domains as a UGRID mesh."""
+    topology = {
+        "cf_role": "mesh_topology",
+        "topology_dimension": 2,
+        "long_name": "polygons of the domains",
+        "node_coordinates": "mesh_node_x mesh_node_y",
+        "face_node_connectivity": "mesh_face_nodes",
+        "face_dimension": "domain",
+        "face_coordinates": "x y",
+    }
+    faces = {
+        "cf_role": "face_node_connectivity",
+        "long_name": "corners of the domains",
+        "start_index": 0,
+        "_FillValue": -1,
+    }
+    node = {"units": "m", "long_name": "corner of a domain"}
+    return {
+        "mesh": ((), np.int32(0), topology),
+        "mesh_node_x": (("mesh_node",), maps["mesh_node_x"], dict(node)),
+        "mesh_node_y": (("mesh_node",), maps["mesh_node_y"], dict(node)),
+        "mesh_face_nodes": (("domain", "mesh_corner"), maps["mesh_face_nodes"], faces),
+    }

@@ -1,0 +1,1 @@
+"""Stage runs handed to workers, and what becomes of them."""

@@ -1,0 +1,137 @@
+"""What came of the runs: products and failures taken in, losses counted, cases told. No Dask."""
+
+from __future__ import annotations
+
+import os
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from demflow.model.outcome import Status
+from demflow.sweep.errors import RunError
+from demflow.sweep.execution.schedule import Schedule, Tally
+from demflow.sweep.execution.worker import Outcome
+from demflow.sweep.store.products import DamagedError, MissingError, Store
+from demflow.sweep.store.versions import machine
+from demflow.sweep.study.load import Limits
+
+LOST_PRODUCTS = 3  # times that a product may be found damaged in one run
+
+
+@dataclass
+class Executed:
+    """What an execution did."""
+
+    computed: int = 0  # stage runs
+    failed: int = 0
+    damaged: list[str] = field(default_factory=list)  # products computed again, and why
+    deaths: int = 0  # of workers
+    refused: list[str] = field(default_factory=list)  # workers that came in mid-run and cannot help
+    seconds: float = 0.0
+
+    def joined(self, other: Executed | None) -> Executed:
+        """What this and another execution did together."""
+        if other is None:
+            return self
+        return Executed(
+            self.computed + other.computed,
+            self.failed + other.failed,
+            self.damaged + other.damaged,
+            self.deaths + other.deaths,
+            self.refused + other.refused,
+            self.seconds + other.seconds,
+        )
+
+
+class Ledger:
+    """Enters how runs ended into the schedule, the store and the report."""
+
+    def __init__(self, schedule: Schedule, store: Store, limits: Limits):
+        self.schedule, self.plan, self.store = schedule, schedule.plan, store
+        self.limits = limits
+        self.tally = Tally(self.plan, schedule.state)
+        self.report = Executed()
+        self._old: dict[int, tuple[int, int]] = {}  # products of earlier runs, to be made again
+        self._losses: dict[int, int] = {}
+
+    def note_old_products(self) -> None:
+        """Remember the products that are there already, so as to tell new ones from them."""
+        for run in range(len(self.plan.runs)):
+            if not self.schedule.is_done(run) and (found := self._product_file(run)):
+                self._old[run] = found
+
+    def accept(self, outcomes: list[Outcome]) -> bool:
+        """Store what a worker without a store sent; False where it did not arrive whole."""
+        files = {
+            self.plan.runs[o.run].id: ("product" if o.status is Status.DONE else "failed", o.file)
+            for o in outcomes
+            if o.file
+        }
+        try:
+            self.store.accept(files)
+        except DamagedError as error:
+            self._count_loss(outcomes[0].run, f"a product came damaged from a worker: {error}")
+            return False
+        return True
+
+    def enter(self, outcome: Outcome) -> None:
+        """A worker told how a run ended."""
+        if outcome.status is Status.DONE:
+            # what a worker on another kind of machine took is no measure of this one
+            here = outcome.machine in ("", machine())
+            spent = outcome.seconds, outcome.stored, outcome.memory, outcome.compiled
+            self._done(outcome.run, *spent, here=here)
+        else:
+            self._fail(outcome.run)
+
+    def lost(self, run: int, identity: str, message: str) -> None:
+        """The product of a run's parent turned out missing or damaged."""
+        parents = [p for p in self.plan.runs[run].parents if p >= 0]
+        parent = next(p for p in parents if self.plan.runs[p].id == identity)
+        if self.schedule.is_done(parent):
+            self._count_loss(parent, message)
+            self.schedule.lost(parent)
+            self.tally.reopen(parent)
+
+    def find_stored(self, run: int) -> None:
+        """Count a run as done whose worker stored its product and died before it said so."""
+        found = None if self.schedule.is_done(run) else self._product_file(run)
+        if found is None or found == self._old.get(run):
+            return
+        identity = self.plan.runs[run].id
+        with suppress(MissingError, DamagedError):  # then it is computed again
+            seconds = self.store.meta(identity)["seconds"]
+            self._done(run, seconds, self.store.path(identity).stat().st_size)
+
+    def convict(self, run: int, status: Status, message: str) -> None:
+        """Fail a run that cannot speak for itself."""
+        stage = self.plan.stage_of(run)
+        meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
+        meta |= {"status": int(status), "message": message, "limits": asdict(self.limits)}
+        self.store.put_failure(self.plan.runs[run].id, meta)
+        self._fail(run)
+
+    def _done(self, run: int, *spent: Any, here: bool = True) -> None:
+        self.report.computed += 1
+        self.schedule.done(run, *spent, here=here)
+        self.tally.finish(run, good=True)
+
+    def _fail(self, run: int) -> None:
+        self.report.failed += 1
+        for lost in self.schedule.failed(run):
+            self.tally.finish(lost, good=False)
+
+    def _count_loss(self, run: int, message: str) -> None:
+        """Note a product that has to be computed again. Raises RunError if it happens often."""
+        self._losses[run] = self._losses.get(run, 0) + 1
+        if self._losses[run] > LOST_PRODUCTS:
+            raise RunError(f"{message}: again and again; it does not arrive, or is not kept")
+        self.report.damaged.append(message)
+
+    def _product_file(self, run: int) -> tuple[int, int] | None:
+        """What tells one file of a product from the next, None where there is none."""
+        try:
+            found = os.stat(self.store.path(self.plan.runs[run].id))
+        except FileNotFoundError:
+            return None
+        return found.st_ino, found.st_mtime_ns

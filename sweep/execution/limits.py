@@ -1,0 +1,85 @@
+"""Whether a case takes more time or memory than its study allows."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Container
+from dataclasses import replace
+
+from demflow.model.outcome import Status
+from demflow.sweep.execution.memory import machine_memory
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.store.products import DamagedError, MissingError, Store
+from demflow.sweep.study.load import Limits
+
+Excess = tuple[Status, str]  # how a run ends that takes too much, and why
+
+
+SHARED = 0.9  # of the machine's memory, among its workers; the rest is for the run and others
+LEAST = 1e9  # bytes that a worker may always come to: its libraries alone take a tenth
+
+
+def in_force(limits: Limits, workers: int | None) -> Limits:
+    """The limits of a study, its workers' share of this machine where it names no memory.
+
+    Of workers elsewhere (None) nothing is known: theirs is what they were started with.
+    """
+    if limits.memory is not None or workers is None:
+        return limits
+    return replace(limits, memory=max(LEAST, SHARED * machine_memory() / workers))
+
+
+class Judge:
+    """Holds runs against the limits of a case.
+
+    A case takes the time of all stage runs that it is made of, shared ones in full, as if
+    it were alone: so it does not depend on its neighbours whether it keeps the limit.
+    """
+
+    def __init__(self, plan: Plan, store: Store, limits: Limits):
+        self.plan, self.store, self.limits = plan, store, limits
+        self._seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
+
+    def before(self, runs: Collection[int]) -> float:
+        """What the earlier stages of these runs took, those of the hardest case, s."""
+        if self.limits.time is None:
+            return 0.0
+        return max(self._seconds_before(run, runs) for run in runs)
+
+    def of_time(self, before: float, seconds: float) -> Excess | None:
+        """Whether runs take too long that are not done after so many seconds."""
+        limit = self.limits.time
+        if limit is None or before + seconds <= limit:
+            return None
+        earlier = f", {before:.3g} s of them in earlier stages" if before > 0.01 else ""
+        return Status.TIMED_OUT, (
+            f"not done after {limit:g} s{earlier}, the study's limits.time; "
+            "raise it, or make the case smaller"
+        )
+
+    def of_memory(self, held: float) -> Excess | None:
+        """Whether a worker of so many bytes holds too many."""
+        limit = self.limits.memory
+        if limit is None or held <= limit:
+            return None
+        return Status.OUT_OF_MEMORY, (
+            f"more than {limit / 1e9:.3g} GB, the study's limits.memory or, without one, a "
+            "worker's share of this machine; raise it, use fewer workers, or make the case smaller"
+        )
+
+    def _seconds_before(self, run: int, together: Container[int]) -> float:
+        """What the runs that a run builds on took, other than those done together with it, s."""
+        ancestors: set[int] = set()
+        stack = [run]
+        while stack:
+            parents = {p for p in self.plan.runs[stack.pop()].parents if p >= 0}
+            stack += parents - ancestors
+            ancestors |= parents
+        return sum(self._seconds_of(a) for a in ancestors if a not in together)
+
+    def _seconds_of(self, run: int) -> float:
+        if run not in self._seconds:
+            try:
+                self._seconds[run] = self.store.meta(self.plan.runs[run].id)["seconds"]
+            except (MissingError, DamagedError):
+                return 0.0  # the worker will miss it too
+        return self._seconds[run]

@@ -1,0 +1,1 @@
+"""What runs: the stages' identities and the graph of distinct stage runs."""

@@ -1,0 +1,192 @@
+"""From cases to the graph of distinct stage runs. Pure: nothing is read, nothing is run.
+
+The table of stages is an argument everywhere, so that planning and running can be tried with
+stages of a few lines. A table is named by where it lies, which is how the worker processes
+find the same one.
+
+Two cases that agree on all that a stage reads, and on all that its parents read, share
+its run. A plan holds numbers and names only, never scenes, so that it stays small for a
+hundred thousand cases.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from demflow.sweep.plan.identity import encode, product_id
+
+if TYPE_CHECKING:
+    from demflow.model.scene import Scene, SceneError
+    from demflow.model.stages import Stage
+
+
+MODEL = "demflow.model.stages:STAGES"
+SIZE_STEP = 0.1  # in the logarithm: sizes closer than that cost the same
+
+
+def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
+    """Return the table of stages at `module:name`, in an order in which parents come first.
+
+    Raises ValueError where a stage names a parent that does not stand before it.
+    """
+    module, _, name = reference.partition(":")
+    stages: tuple[Stage, ...] = tuple(getattr(importlib.import_module(module), name))
+    earlier: set[str] = set()
+    for stage in stages:
+        if missing := [parent for parent in stage.parents if parent not in earlier]:
+            raise ValueError(f"{reference}: {stage.name} stands before its parent {missing[0]}")
+        earlier.add(stage.name)
+    return stages
+
+
+def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Return the maps of one case, from the products of its stages by their names."""
+    from demflow.model.maps import case_maps as of_the_model
+
+    return of_the_model(scene, products)
+
+
+class Kind(NamedTuple):
+    """What decides the cost of a stage run."""
+
+    stage: str
+    version: int
+    variant: str  # how it is solved, "" where there is one way only
+    step: int  # its size, ln(grains) / SIZE_STEP
+
+    @classmethod
+    def of(cls, stage: Stage, scene: Scene) -> Kind:
+        """The kind of a stage's run for a scene."""
+        method = stage.reads.get("method")
+        variant = "" if method is None else str(method(scene))
+        return cls(stage.name, stage.version, variant, round(math.log(grains(scene)) / SIZE_STEP))
+
+    @property
+    def key(self) -> str:
+        """All but the size, as one word."""
+        return f"{self.stage}/{self.version}/{self.variant}"
+
+
+def grains(scene: Scene) -> float:
+    """Number of grains in the region; about that number where a radius is given instead."""
+    if scene.grains.count is not None:
+        return float(scene.grains.count)
+    disc = math.pi * (scene.grains.mean_radius or 1.0) ** 2
+    return max(1.0, scene.region.area / disc)
+
+
+class StageRun(NamedTuple):
+    """One run of one stage, wanted by one case or by many."""
+
+    id: str  # identity of its product
+    stage: int  # row of the table of stages
+    parents: tuple[int, ...]  # runs whose products it takes, −1 for a stage that is not run
+    case: int  # the first case that wants it
+    kind: Kind
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Distinct stage runs, parents first, and which of them each case is made of."""
+
+    stages: tuple[Stage, ...]
+    runs: list[StageRun]
+    cases: np.ndarray  # (cases, stages) int32: index of the run, −1 where the stage is not run
+    impossible: dict[int, str] = field(default_factory=dict)  # cases without a scene, and why
+
+    def case_runs(self, case: int) -> list[int]:
+        """Indices of the runs that a case is made of, parents first."""
+        return [int(run) for run in self.cases[case] if run >= 0]
+
+    def stage_of(self, run: int) -> Stage:
+        """The row of the table that a run belongs to."""
+        return self.stages[self.runs[run].stage]
+
+    def counts(self) -> np.ndarray:
+        """Number of distinct runs of each stage, shape (stages,)."""
+        return np.bincount([run.stage for run in self.runs], minlength=len(self.stages))
+
+    def wanted(self) -> np.ndarray:
+        """Number of cases that want each stage, shape (stages,)."""
+        return np.count_nonzero(self.cases >= 0, axis=0)
+
+    def to_run(self, stored: np.ndarray, failed: np.ndarray) -> np.ndarray:
+        """Which runs are left where some are stored and some are known to fail, (runs,) bool.
+
+        What waits for a run that is known to fail is not left either.
+        """
+        there, left = stored.tolist(), (~stored & ~failed).tolist()
+        for k, run in enumerate(self.runs):
+            if left[k]:
+                left[k] = all(p < 0 or there[p] or left[p] for p in run.parents)
+        return np.array(left, dtype=bool)
+
+    def digest(self) -> str:
+        """Hash of the identities of all products of all cases, in their order (SHA-256)."""
+        digest = hashlib.sha256()
+        for number, case in enumerate(self.cases):
+            for run in case:
+                digest.update(self.runs[run].id.encode() if run >= 0 else b"-")
+            digest.update(self.impossible.get(number, "").encode() + b"\n")
+        return digest.hexdigest()
+
+
+def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -> Plan:
+    """Return the plan of the cases whose scenes are given, in their order.
+
+    A stage runs where its `wanted` says so; its parents are passed over where theirs
+    says no. An error in the place of a scene makes a case of which nothing is run.
+    """
+    row = {stage.name: k for k, stage in enumerate(stages)}
+    parent_rows = [[row[name] for name in stage.parents] for stage in stages]
+    readers = [_Reader(stage.reads) for stage in stages]
+    runs: list[StageRun] = []
+    index: dict[str, int] = {}
+    kinds: dict[Kind, Kind] = {}  # one object each
+    cases: list[np.ndarray] = []
+    impossible: dict[int, str] = {}
+    for number, scene in enumerate(scenes):
+        own = np.full(len(stages), -1, dtype=np.int32)
+        cases.append(own)
+        if isinstance(scene, Exception):
+            impossible[number] = str(scene)
+            continue
+        for k, stage in enumerate(stages):
+            if not stage.wanted(scene):
+                continue
+            parents = tuple(int(own[p]) for p in parent_rows[k])
+            parent_ids = [runs[p].id if p >= 0 else None for p in parents]
+            identity = product_id(stage.name, stage.version, readers[k](scene), parent_ids)
+            run = index.setdefault(identity, len(runs))
+            if run == len(runs):
+                kind = Kind.of(stage, scene)
+                runs.append(StageRun(identity, k, parents, number, kinds.setdefault(kind, kind)))
+            own[k] = run
+    table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))
+    return Plan(stages, runs, table, impossible)
+
+
+class _Reader:
+    """Canonical bytes of what a stage reads; a value met again is not encoded again."""
+
+    def __init__(self, reads: Any):
+        self.reads: dict[str, Callable[[Any], Any]] = dict(reads)
+        self.last: dict[str, tuple[Any, bytes]] = {}
+
+    def __call__(self, scene: Any) -> dict[str, bytes]:
+        encoded = {}
+        for name, read in self.reads.items():
+            value = read(scene)
+            previous = self.last.get(name)
+            # by identity, not by equality: 1 == 1.0 == True
+            if previous is None or previous[0] is not value:
+                previous = self.last[name] = (value, encode(value))
+            encoded[name] = previous[1]
+        return encoded

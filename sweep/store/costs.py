@@ -1,0 +1,206 @@
+"""What stage runs have cost so far on this kind of machine, and what others would cost by that.
+
+A run costs what runs of its kind did: the same stage and version, the same solver, a scene of
+about the same size. Where none of that size was seen, the nearest size is scaled by a power law
+fitted to those that were. Kept beside the store, and in the user's cache folder for the results
+folders to come, in files that may be lost without harm.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from demflow.sweep.plan.graph import SIZE_STEP, Kind
+from demflow.sweep.store.durable import write_durably
+from demflow.sweep.store.products import Store
+from demflow.sweep.store.versions import machine
+
+GROWTH = 1.0  # exponent of a stage that was seen at one size only: as the size
+DOUBT = 0.05  # weight of that exponent beside the spread of the sizes that were seen
+STEEPEST = 1.5  # exponent of a planar graph's factor; no stage grows faster
+OUTLIERS = 3  # runs from which the slowest, which loads the compiled code, does not count
+
+
+class Spent(NamedTuple):
+    """Totals over the runs of one kind."""
+
+    runs: int = 0
+    seconds: float = 0.0
+    slowest: float = 0.0  # s
+    stored: int = 0  # bytes
+    memory: int = 0  # largest resident memory of a worker after such a run, bytes
+    bound: int = 0  # the same of workers that had compiled too, whose compiler counts, bytes
+
+    def and_one(self, seconds: float, stored: int, memory: int, compiled: bool) -> Spent:
+        """With one more run."""
+        return Spent(
+            self.runs + 1,
+            self.seconds + seconds,
+            max(self.slowest, seconds),
+            self.stored + stored,
+            max(self.memory, 0 if compiled else memory),
+            max(self.bound, memory),
+        )
+
+    @property
+    def peak(self) -> int:
+        """Memory of a worker, bytes: no more than that where all of them had compiled."""
+        return self.memory or self.bound
+
+    @property
+    def typical(self) -> float:
+        """Seconds of a run, without the slowest of several."""
+        if self.runs < OUTLIERS:
+            return self.seconds / self.runs
+        return (self.seconds - self.slowest) / (self.runs - 1)
+
+
+class Costs:
+    """What was measured: totals by kind of run."""
+
+    def __init__(self) -> None:
+        self.known: dict[str, dict[int, Spent]] = {}  # by key, then by step of the size
+        self.start: float | None = None  # s until the workers of a run stood, the last time
+        self.main: int = 0  # memory of the process that leads a run, bytes: the least one seen
+
+    @classmethod
+    def read(cls, store: Store, *, everywhere: bool = False) -> Costs:
+        """Return what earlier runs measured, nothing where that cannot be read.
+
+        What another kind of machine took says nothing about this one. What runs with other
+        results folders measured here counts where it is asked for, and this one knows nothing.
+        """
+        costs = cls()
+        for file in (machine_file(), _file(store)) if everywhere else (_file(store),):
+            costs._take(file)
+        return costs
+
+    def _take(self, file: Path) -> None:
+        """Let what a file tells stand before what is known."""
+        try:
+            told: dict[str, Any] = json.loads(file.read_text())
+            if told["machine"] != machine():
+                return
+            known = {
+                key: {int(step): Spent(*entry) for step, entry in sizes.items()}
+                for key, sizes in told["stages"].items()
+            }
+            start, main = told.get("start"), int(told.get("main", 0))
+        except (OSError, ValueError, TypeError, AttributeError, KeyError):
+            return
+        for key, sizes in known.items():
+            self.known[key] = self.known.get(key, {}) | sizes
+        self.start = self.start if start is None else start
+        self.main = main or self.main
+
+    def write(self, store: Store, *, everywhere: bool = False) -> None:
+        """Keep the totals for the next run; raises OSError where the store cannot be written."""
+        told = {"machine": machine(), "start": self.start, "main": self.main, "stages": self.known}
+        write_durably(_file(store), json.dumps(told, indent=1).encode())
+        if everywhere:
+            with suppress(OSError):
+                others = Costs()
+                others._take(machine_file())
+                told["stages"] = {
+                    key: others.known.get(key, {}) | self.known.get(key, {})
+                    for key in others.known | self.known
+                }
+                write_durably(machine_file(), json.dumps(told, indent=1).encode())
+
+    def add(
+        self, kind: Kind, seconds: float, stored: int, memory: int = 0, compiled: bool = False
+    ) -> None:
+        """Count one more run; whether its worker had compiled kernels before."""
+        sizes = self.known.setdefault(kind.key, {})
+        sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(seconds, stored, memory, compiled)
+
+    def led(self, memory: int) -> None:
+        """Note the memory of a process that led a run, bytes."""
+        self.main = min(self.main or memory, memory)
+
+    def seconds(self, kind: Kind) -> float | None:
+        """Expected seconds of a run, None if its stage was never run."""
+        times = {step: spent.typical for step, spent in self._sizes(kind).items()}
+        return scaled(times, self._sizes(kind), kind.step)
+
+    def stored(self, kind: Kind) -> float | None:
+        """Expected bytes of a product, None if its stage was never run."""
+        sizes = {step: spent.stored / spent.runs for step, spent in self._sizes(kind).items()}
+        return scaled(sizes, self._sizes(kind), kind.step)
+
+    def memory(self, kind: Kind) -> float | None:
+        """Expected memory of a worker after a run, bytes; None if its stage was never run.
+
+        What a process holds before it does anything does not grow with the case: as much as
+        the smallest that was seen. Nor does what a compiler takes: workers that have compiled
+        count as they are, and only where no other ran the stage.
+        """
+        sizes = self._sizes(kind)
+        peaks = {step: spent.memory for step, spent in sizes.items() if spent.memory}
+        if not peaks:
+            return max((spent.bound for spent in sizes.values()), default=0) or None
+        least = min(s.memory for known in self.known.values() for s in known.values() if s.memory)
+        near = _nearest(peaks, kind.step)
+        growth = math.exp(SIZE_STEP * (kind.step - near))
+        return least + (peaks[near] - least) * growth
+
+    def _sizes(self, kind: Kind) -> dict[int, Spent]:
+        return self.known.get(kind.key, {})
+
+
+def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float | None:
+    """The value at a size: as measured there, else by a power law through the nearest size.
+
+    Parameters
+    ----------
+    values : positive values by size (steps of ln size).
+    seen : how often each size was seen.
+    step : the size that is asked for.
+    """
+    if not values:
+        return None
+    if step in values:
+        return values[step]
+    # few runs are mostly the loading of compiled code, which does not grow with the size
+    often = {size: value for size, value in values.items() if seen[size].runs >= OUTLIERS}
+    values = often or values
+    near = _nearest(values, step)
+    return values[near] * math.exp(exponent(values, seen) * SIZE_STEP * (step - near))
+
+
+def exponent(values: dict[int, float], seen: dict[int, Spent]) -> float:
+    """Slope of ln value over ln size, by least squares, each size by its runs.
+
+    It is drawn towards `GROWTH`, from which a few sizes close together do not take it away.
+    """
+    steps = [step for step, value in values.items() if value > 0.0]
+    if len(steps) < 2:
+        return GROWTH
+    x = SIZE_STEP * np.array(steps)
+    y = np.log([values[step] for step in steps])
+    weight = np.array([min(seen[step].runs, 10) for step in steps], dtype=float)
+    weight /= weight.sum()
+    x, y = x - weight @ x, y - weight @ y
+    slope = (weight @ (x * y) + DOUBT * GROWTH) / (weight @ (x * x) + DOUBT)
+    return float(min(max(slope, 0.0), STEEPEST))
+
+
+def _nearest(values: dict[int, Any], step: int) -> int:
+    return min(values, key=lambda near: (abs(near - step), near))
+
+
+def machine_file() -> Path:
+    """Where the costs of all results folders are kept for one user of this machine."""
+    home = os.environ.get("XDG_CACHE_HOME", "") or Path.home() / ".cache"
+    return Path(home) / "demflow" / "costs.json"
+
+
+def _file(store: Store) -> Path:
+    return store.root / "costs.json"

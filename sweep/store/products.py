@@ -1,0 +1,289 @@
+"""The store: one file per product, under its identity, data only.
+
+A product is there or it is not: a file is written aside in its folder, flushed, renamed
+under its final name, and the folder is flushed. It holds
+
+    8 bytes    "demflow1"
+    8 bytes    length of the header, little-endian
+    32 bytes   SHA-256 of the header
+    header     JSON: arrays (name, dtype, shape, offset), meta, SHA-256 of the payload
+    payload    the arrays, little-endian, C order, each on a multiple of 64 bytes
+
+so that every flipped bit and every lost byte is found when it is read. Arrays are not
+compressed: a stage's floats shrink by 5 % in ten times the time that writing them takes.
+A run that failed leaves a record of the same form without arrays, so that a law's error
+is not met again at every run.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import struct
+from collections.abc import Container, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from demflow.sweep.store.durable import write_all_durably, write_durably
+
+MAGIC = b"demflow1"
+_PREFIX = struct.Struct("<8sQ32s")
+_ALIGNMENT = 64
+_KINDS = "biufcUS"  # numbers and text: no objects, nothing that would be executed
+_HEX = set("0123456789abcdef")
+
+
+class DamagedError(ValueError):
+    """A stored file whose content is not what was written."""
+
+
+class MissingError(KeyError):
+    """A product that is not in the store."""
+
+
+class StoreError(RuntimeError):
+    """A folder that cannot serve as a store; the text says why."""
+
+
+class Stored(NamedTuple):
+    """What a file of the store holds."""
+
+    arrays: dict[str, np.ndarray]
+    meta: dict[str, Any]
+
+
+def pack(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> bytes:
+    """Return the bytes of a file that holds named arrays and a JSON-able description.
+
+    Raises TypeError for an array that is not of numbers, booleans or text.
+    """
+    entries, chunks, offset = [], [], 0
+    for name, array in arrays.items():
+        plain = canonical(array)
+        padding = -offset % _ALIGNMENT
+        offset += padding
+        entries.append([name, plain.dtype.str, list(plain.shape), offset])
+        chunks += [bytes(padding), plain.tobytes()]
+        offset += plain.nbytes
+    payload = b"".join(chunks)
+    header = json.dumps(
+        {"arrays": entries, "meta": dict(meta), "payload": hashlib.sha256(payload).hexdigest()},
+        separators=(",", ":"),
+    ).encode()
+    prefix = _PREFIX.pack(MAGIC, len(header), hashlib.sha256(header).digest())
+    return prefix + header + payload
+
+
+def unpack(content: bytes) -> Stored:
+    """Return what `pack` was given. Raises DamagedError where a byte differs."""
+    header, start = _header(content)
+    payload = memoryview(content)[start:]
+    if hashlib.sha256(payload).hexdigest() != header["payload"]:
+        raise DamagedError("the data differ from what was written")
+    arrays = {}
+    for name, dtype, shape, offset in header["arrays"]:
+        if dtype[1:2] not in _KINDS:
+            raise DamagedError(f"the array {name} is of {dtype}, which is no plain data")
+        kind = np.dtype(dtype)
+        count = int(np.prod(shape, dtype=np.int64))
+        # copied, hence aligned and writable, as it came from the stage: kernels compile
+        # anew for any other layout
+        flat = np.frombuffer(payload, kind, count, offset) if count else np.empty(0, kind)
+        arrays[name] = flat.reshape(shape).copy()
+    return Stored(arrays, header["meta"])
+
+
+def canonical(array: Any) -> np.ndarray:
+    """Return the array as the store gives it back: own memory, C order, little-endian."""
+    plain = np.asarray(array)
+    if plain.dtype.kind not in _KINDS:
+        raise TypeError(f"an array of {plain.dtype} cannot be stored")
+    return np.array(plain, dtype=plain.dtype.newbyteorder("<"), order="C", copy=True)
+
+
+@dataclass(frozen=True)
+class Store:
+    """The products below a folder. Reading needs no lock; writing is atomic."""
+
+    root: Path
+
+    @classmethod
+    def open(cls, root: Path, *, create: bool = True) -> Store:
+        """Return the store at `root`; where nothing is there yet, make it or take it as empty.
+
+        Raises StoreError where the folder holds something else or a newer store.
+        """
+        root = Path(root)
+        mark = root / "FORMAT"
+        try:
+            if create:
+                root.mkdir(parents=True, exist_ok=True)
+            if not mark.exists():
+                if root.exists() and any(entry.suffix != ".partial" for entry in root.iterdir()):
+                    raise StoreError(f"{root} is not empty and holds no store of demflow")
+                if create:
+                    write_durably(mark, MAGIC + b"\n")
+            elif mark.read_bytes().strip() != MAGIC:
+                raise StoreError(
+                    f"{root} was made by another version of demflow "
+                    f"({mark.read_bytes()[:40].decode(errors='replace').strip()}); "
+                    "use that version, or another --results folder"
+                )
+        except OSError as error:
+            raise StoreError(f"{root} cannot be used: {error.strerror or error}") from error
+        return cls(root)
+
+    def path(self, identity: str, kind: str = "product") -> Path:
+        """Where a product (or, for kind "failed", the record of a failure) lies."""
+        if len(identity) != 64 or not _HEX.issuperset(identity):
+            raise ValueError(f"{identity!r} is no identity of a product")
+        return self.root / identity[:2] / f"{identity}.{kind}"
+
+    def has(self, identity: str) -> bool:
+        """Whether the product is there (whole or not: reading it tells)."""
+        return os.path.exists(self.path(identity))
+
+    def get(self, identity: str) -> Stored:
+        """Return a product, its hash checked.
+
+        Raises MissingError where it is not there, DamagedError where it is not what was
+        written; the damaged file is set aside then, so that the product counts as missing.
+        """
+        with self._reading(identity) as path:
+            return _of(identity, unpack(path.read_bytes()))
+
+    def content(self, identity: str) -> bytes:
+        """Return a product as the bytes of its file, its hash checked. Raises as `get` does."""
+        with self._reading(identity) as path:
+            content = path.read_bytes()
+            _of(identity, unpack(content))
+            return content
+
+    def accept(self, files: Mapping[str, tuple[str, bytes]]) -> None:
+        """Do as `keep` does with files that were packed elsewhere.
+
+        Raises DamagedError where one is not what was packed there: then none is stored; OSError.
+        """
+        for identity, (_, content) in files.items():
+            _of(identity, unpack(content))
+        self.keep(files)
+
+    def keep(self, files: Mapping[str, tuple[str, bytes]]) -> None:
+        """Store packed files, kind and content by identity, in one flush. Raises OSError.
+
+        A product replaces the record of an earlier failure, and the other way round.
+        """
+        write_all_durably({self.path(i, kind): content for i, (kind, content) in files.items()})
+        for identity, (kind, _) in files.items():
+            other = "failed" if kind == "product" else "product"
+            self.path(identity, other).unlink(missing_ok=True)
+
+    def meta(self, identity: str) -> dict[str, Any]:
+        """Return a product's description alone. Raises as `get` does."""
+        with self._reading(identity) as path:
+            return _read_meta(path)
+
+    def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
+        """Record that a run failed, and how; a product of an earlier try goes."""
+        write_durably(self.path(identity, "failed"), pack({}, {**meta, "id": identity}))
+        self.path(identity).unlink(missing_ok=True)
+
+    def failure(self, identity: str) -> dict[str, Any] | None:
+        """Return the record of a failed run, None where there is none (or it is damaged)."""
+        with suppress(MissingError, DamagedError), self._reading(identity, "failed") as path:
+            return _read_meta(path)
+        return None
+
+    @contextmanager
+    def _reading(self, identity: str, kind: str = "product") -> Iterator[Path]:
+        """Where a file lies that is read; a damaged one is set aside."""
+        path = self.path(identity, kind)
+        try:
+            yield path
+        except FileNotFoundError:
+            raise MissingError(identity) from None
+        except DamagedError as error:
+            put_aside(path)
+            raise DamagedError(f"{path}: {error}") from None
+
+    def files(self) -> Iterator[Path]:
+        """Every product and every record of a failure."""
+        return self._files(".product", ".failed")
+
+    def unwanted(self, wanted: Container[str]) -> Iterator[Path]:
+        """Files whose identity is not wanted, and those that were set aside."""
+        for path in self._files(".product", ".failed", ".damaged", ".partial"):
+            if path.suffix in (".damaged", ".partial") or path.stem not in wanted:
+                yield path
+
+    def _files(self, *suffixes: str) -> Iterator[Path]:
+        for folder in sorted(self.root.glob("[0-9a-f][0-9a-f]")):
+            yield from sorted(p for p in folder.iterdir() if p.suffix in suffixes)
+
+    def verify(self, *, set_aside: bool = True) -> Iterator[tuple[Path, str | None]]:
+        """Re-hash every file: its path, and what is wrong with it or None.
+
+        Damaged files are set aside if wished, so that the next run computes them again.
+        """
+        for path in self.files():
+            try:
+                _of(path.stem, unpack(path.read_bytes()))
+            except DamagedError as error:
+                if set_aside:
+                    put_aside(path)
+                yield path, str(error)
+            else:
+                yield path, None
+
+    def remove_partial(self) -> int:
+        """Remove what interrupted writers left; return how many. Only under the folder's lock."""
+        count = 0
+        for path in self.root.glob("**/*.partial"):
+            with suppress(OSError):  # it is in nobody's way
+                path.unlink()
+                count += 1
+        return count
+
+
+def put_aside(path: Path) -> None:
+    """Rename a damaged file out of the way; it stays for whoever wants to look.
+
+    Where that cannot be done it stays where it is, and is found damaged again.
+    """
+    with suppress(OSError):
+        os.replace(path, path.with_name(path.name + ".damaged"))
+
+
+def _header(content: bytes) -> tuple[dict[str, Any], int]:
+    if len(content) < _PREFIX.size:
+        raise DamagedError("the file is cut short")
+    magic, length, digest = _PREFIX.unpack_from(content)
+    if magic != MAGIC:
+        raise DamagedError("the file does not begin as a product of this version does")
+    start = _PREFIX.size + length
+    header = content[_PREFIX.size : start]
+    if len(header) != length or hashlib.sha256(header).digest() != digest:
+        raise DamagedError("the header differs from what was written")
+    return json.loads(header), start
+
+
+def _read_meta(path: Path) -> dict[str, Any]:
+    with open(path, "rb") as file:
+        content = file.read(_PREFIX.size)
+        if len(content) == _PREFIX.size:
+            length = _PREFIX.unpack(content)[1]
+            # a damaged length must not ask for all memory
+            content += file.read(min(length, os.fstat(file.fileno()).st_size))
+    header, _ = _header(content)
+    return _of(path.stem, Stored({}, header["meta"])).meta
+
+
+def _of(identity: str, stored: Stored) -> Stored:
+    if stored.meta.get("id") != identity:
+        raise DamagedError("the file lies under a name that is not its own")
+    return stored

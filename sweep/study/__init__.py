@@ -1,0 +1,1 @@
+"""From the text of a study to its cases, checked."""

@@ -1,0 +1,337 @@
+"""Blocks of a study file, derived from the dataclasses of the model.
+
+A field's type says what is written there (a quantity, a word, a point, a block, named
+blocks), its `parameter` metadata gives unit, bounds, choices and key. A field added to
+a dataclass is a study key by that alone.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import types
+import typing
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from demflow.model.parameters import SceneError
+from demflow.sweep.study.sections import (
+    NoParameter,
+    Parameter,
+    Reading,
+    Section,
+    join,
+    report_unknown,
+    shape,
+    where,
+)
+from demflow.sweep.study.units import example, nearest
+from demflow.sweep.study.yaml_source import Mapping, Node, Scalar, Sequence
+
+KindWords = dict[type, tuple[str, str]]
+
+NAME = re.compile(r"\w[\w-]*")  # of a well, a fracture, a probe; dots belong to paths
+
+
+class Member(NamedTuple):
+    """A key of a block."""
+
+    key: str
+    name: str  # of the dataclass field
+    section: Section
+    required: bool
+
+
+@dataclass(frozen=True)
+class Block(Section):
+    """A mapping with the keys of a dataclass."""
+
+    cls: type
+    members: dict[str, Member]
+
+    def without(self, *keys: str) -> Block:
+        """The block without some of its keys."""
+        return Block(self.cls, {k: m for k, m in self.members.items() if k not in keys})
+
+    def read(
+        self, node: Node, path: str, reading: Reading, also: tuple[str, ...] = ()
+    ) -> dict[str, Any]:
+        """Values by key; `also` names keys that the caller reads."""
+        if not isinstance(node, Mapping):
+            keys = ", ".join(self.members)
+            reading.report(node.place, f"{where(path)} is a mapping with the keys {keys}", path)
+            return self.stand_in()
+        values: dict[str, Any] = {}
+        meant: set[str | None] = set()  # keys that misspelt ones stand for
+        for key, value in node.entries.items():
+            if key in also:
+                continue
+            if key not in self.members:
+                valid = (*also, *self.members)
+                meant.add(report_unknown(key, node.keys[key], valid, path, reading))
+                continue
+            inner = join(path, key)
+            section = self.members[key].section
+            reading.places[inner] = node.keys[key] if isinstance(value, Mapping) else value.place
+            if not (isinstance(value, Scalar) and value.empty):
+                values[key] = section.read(value, inner, reading)
+        for key, member in self.members.items():
+            inner = join(path, key)
+            if key in meant:
+                reading.unreadable.add(inner)
+            elif member.required and key not in values and inner not in reading.supplied:
+                place = reading.place(inner if key in node.entries else path)
+                message = f"{where(path)} lacks '{key}'{_meant(member.section)}"
+                reading.report(place, message, inner)
+            if member.required and inner in reading.unreadable:
+                values.setdefault(key, member.section.stand_in())
+        return values
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]], **more: Any) -> Any:
+        """The dataclass; where it refuses the values, one that was not checked."""
+        given = {
+            member.name: member.section.build(values[key], join(path, key), problems)
+            for key, member in self.members.items()
+            if key in values
+        } | more
+        try:
+            return self.cls(**given)
+        except SceneError as error:
+            problems += [(join(path, inner), what) for inner, what in error.problems]
+            return _unchecked(self.cls, given)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter at a path of keys."""
+        member = self.members.get(parts[0]) if parts else None
+        if member is None:
+            raise NoParameter
+        inner = values.get(parts[0])
+        if inner is None and isinstance(member.section, Block | Variants):
+            raise NoParameter(f"the scene has no {parts[0]}")
+        return member.section.find(inner, parts[1:])
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of its members, without optional blocks that are not there."""
+        for key, member in self.members.items():
+            if key in values or isinstance(member.section, Parameter):
+                yield from member.section.paths(values.get(key), join(path, key))
+
+    def stand_in(self) -> Any:
+        """Stand-ins for what is required."""
+        return {k: m.section.stand_in() for k, m in self.members.items() if m.required}
+
+
+@dataclass(frozen=True)
+class Variants(Section):
+    """A block of several kinds; one of its keys (`shape`, `kind`) says which."""
+
+    tag: str
+    blocks: dict[str, Block]
+
+    def read(self, node: Node, path: str, reading: Reading) -> Any:
+        """Values by key, the tag included; None where the kind is not known."""
+        word = node.entries.get(self.tag) if isinstance(node, Mapping) else None
+        if isinstance(word, Scalar) and word.text in self.blocks:
+            block = self.blocks[word.text]
+            return {self.tag: word.text, **block.read(node, path, reading, also=(self.tag,))}
+        kinds = ", ".join(self.blocks)
+        if word is None:
+            place = reading.place(path) if isinstance(node, Mapping) else node.place
+            reading.report(place, f"{where(path)} lacks '{self.tag}', one of {kinds}", path)
+        else:
+            text = word.text if isinstance(word, Scalar) else "this"
+            like = nearest(text, self.blocks)
+            hint = f"; did you mean '{like}'?" if like else ""
+            message = f"{path}.{self.tag}: '{text}' is none of {kinds}{hint}"
+            reading.report(word.place, message, path)
+        return None
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]], **more: Any) -> Any:
+        """The dataclass of that kind."""
+        return self.blocks[values[self.tag]].build(values, path, problems, **more)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter at a path of keys."""
+        if parts == (self.tag,):
+            raise NoParameter(f"'{self.tag}' decides which other keys there are")
+        return self.blocks[values[self.tag]].find(values, parts)
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of the kind that is there."""
+        yield from self.blocks[values[self.tag]].paths(values, path)
+
+
+@dataclass(frozen=True)
+class Named(Section):
+    """A mapping of names that the user chooses to blocks of one sort, or to quantities."""
+
+    inner: Any  # Block, Variants, ProbeForms; or a Parameter, then built as (name, value)
+
+    def read(self, node: Node, path: str, reading: Reading) -> dict[str, Any]:
+        """Values by name; what cannot be read at all is left out."""
+        if not isinstance(node, Mapping):
+            reading.report(node.place, f"{where(path)} is a mapping of names", path)
+            return {}
+        values: dict[str, Any] = {}
+        for name, value in node.entries.items():
+            inner = join(path, name)
+            reading.places[inner] = (
+                value.place if isinstance(self.inner, Parameter) else node.keys[name]
+            )
+            if not NAME.fullmatch(name) and not isinstance(self.inner, Parameter):
+                message = f"'{name}' is no name; use letters, digits, '-' and '_'"
+                reading.report(node.keys[name], message, inner)
+                continue
+            if isinstance(value, Scalar) and value.empty:
+                reading.report(value.place, f"{where(inner)} is empty", inner)
+                continue
+            read = self.inner.read(value, inner, reading)
+            if read is not None:
+                values[name] = read
+        return values
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
+        """A tuple, in the order of the file."""
+        if isinstance(self.inner, Parameter):
+            return tuple(values.items())
+        made: list[Any] = []
+        for name, value in values.items():
+            one = self.inner.build(value, join(path, name), problems, name=name)
+            made += one if isinstance(one, list) else [one]
+        return tuple(made)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter of one of the names."""
+        if not parts:
+            raise NoParameter
+        if isinstance(self.inner, Parameter):
+            return self.inner.find(None, parts[1:])
+        if parts[0] not in (values or {}):
+            raise NoParameter
+        return self.inner.find(values[parts[0]], parts[1:])
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of every name."""
+        for name, value in values.items():
+            yield from self.inner.paths(value, join(path, name))
+
+    def stand_in(self) -> Any:
+        """None of them."""
+        return {}
+
+
+@dataclass(frozen=True)
+class Words(Section):
+    """A list of words out of a fixed choice."""
+
+    choices: tuple[str, ...]
+
+    def read(self, node: Node, path: str, reading: Reading) -> tuple[str, ...]:
+        """The words that are known."""
+        if not isinstance(node, Sequence):
+            wanted = f"{path} is a list of {', '.join(self.choices)}"
+            reading.report(node.place, wanted, path)
+            return ()
+        words: list[str] = []
+        for item in node.items:
+            text = item.text if isinstance(item, Scalar) else "this"
+            if text not in self.choices:
+                like = nearest(text, self.choices)
+                hint = f"did you mean '{like}'?" if like else f"valid are {', '.join(self.choices)}"
+                reading.report(item.place, f"{path}: unknown word '{text}'; {hint}", path)
+            elif text in words:
+                reading.report(item.place, f"{path}: '{text}' is named twice", path)
+            else:
+                words.append(text)
+        return tuple(words)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """Never: what is observed is the same for all cases."""
+        raise NoParameter("all cases of a study observe the same")
+
+    def stand_in(self) -> Any:
+        """No word."""
+        return ()
+
+
+def block_of(
+    cls: type, special: dict[str, Section] | None = None, words: KindWords | None = None
+) -> Block:
+    """The grammar of a dataclass.
+
+    Parameters
+    ----------
+    cls : the dataclass.
+    special : sections of fields whose type does not say it all.
+    words : for the members of unions, the key that says which (`kind`) and its word.
+    """
+    hints = typing.get_type_hints(cls)
+    members = {}
+    for declared in dataclasses.fields(cls):
+        if declared.name == "name":  # the key under which the block stands
+            continue
+        key = declared.metadata.get("key") or declared.name
+        section = (special or {}).get(declared.name) or _section(
+            declared, hints[declared.name], words or {}
+        )
+        required = (
+            declared.default is dataclasses.MISSING
+            and declared.default_factory is dataclasses.MISSING
+        )
+        members[key] = Member(key, declared.name, section, required)
+    return Block(cls, members)
+
+
+def _section(declared: dataclasses.Field, hint: Any, words: KindWords) -> Section:
+    kinds = _alternatives(hint)
+    optional = type(None) in kinds
+    kinds = tuple(kind for kind in kinds if kind is not type(None))
+    if all(dataclasses.is_dataclass(kind) for kind in kinds):
+        return _blocks(kinds, words)
+    arguments = typing.get_args(kinds[0])
+    if len(arguments) == 2 and arguments[1] is Ellipsis:
+        inner = _alternatives(arguments[0])
+        if all(dataclasses.is_dataclass(kind) for kind in inner):
+            return Named(_blocks(inner, words))
+    return Parameter(declared, kinds[0], optional)
+
+
+def _alternatives(hint: Any) -> tuple[Any, ...]:
+    """The members of a union, or the type alone."""
+    if typing.get_origin(hint) in (typing.Union, types.UnionType):
+        return typing.get_args(hint)
+    return (hint,)
+
+
+def _blocks(kinds: tuple[Any, ...], words: KindWords) -> Block | Variants:
+    if len(kinds) == 1:
+        return block_of(kinds[0], words=words)
+    (tag,) = {words[kind][0] for kind in kinds}
+    return Variants(tag, {words[kind][1]: block_of(kind, words=words) for kind in kinds})
+
+
+def _unchecked(cls: type[Any], given: dict[str, Any]) -> Any:
+    """An instance that skips its own checks, so that checks across blocks can go on."""
+    instance = object.__new__(cls)
+    for declared in dataclasses.fields(cls):
+        value = given.get(declared.name, declared.default)
+        object.__setattr__(instance, declared.name, value)
+    return instance
+
+
+def _meant(section: Section) -> str:
+    """What a missing key is for, with an example."""
+    if isinstance(section, Parameter):
+        if section.choices:
+            return f" ({section.help}), one of {', '.join(section.choices)}"
+        arguments = typing.get_args(section.type)
+        shown = shape(arguments, section.unit) if arguments else example(section.unit)
+        if section.type is int:
+            shown = "100"
+        return f" ({section.help}), for instance {shown}"
+    if isinstance(section, Block):
+        return f", a mapping with the keys {', '.join(section.members)}"
+    if isinstance(section, Variants):
+        return f", a mapping with '{section.tag}', one of {', '.join(section.blocks)}"
+    return ""

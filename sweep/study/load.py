@@ -1,0 +1,420 @@
+"""A study file → a frozen `Study`, checked completely: every error at once, each with its place.
+
+This is the door: what comes through it is valid, in SI, and stays as it is. Besides
+the syntax and the values, the scene itself is built: for every value of every axis and,
+where there are few enough, for every combination, so that no case fails later for a
+reason that could be seen here.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from demflow.model.parameters import parameter
+from demflow.model.scene import OBSERVABLES
+from demflow.sweep.study import yaml_source
+from demflow.sweep.study.axes import (
+    MAX_CASES,
+    Axis,
+    Located,
+    count_cases,
+    labelled,
+    read_axes,
+    read_drafts,
+)
+from demflow.sweep.study.blocks import block_of
+from demflow.sweep.study.expect import EXPECT, Expectation
+from demflow.sweep.study.overrides import overlaid
+from demflow.sweep.study.scene import SCENE
+from demflow.sweep.study.scenes import SceneBuilder
+from demflow.sweep.study.sections import Reading, report_unknown
+from demflow.sweep.study.units import describe, format_quantity
+from demflow.sweep.study.variants import (
+    VariantAxis,
+    found_everywhere,
+    read_variants,
+    without_variants,
+)
+from demflow.sweep.study.yaml_source import (
+    Node,
+    Place,
+    Problem,
+    Scalar,
+    Source,
+    StudyError,
+    read_source,
+)
+
+__all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyError", "load_study"]
+
+DAY = 86400.0  # s
+MOST_COMBINATIONS = 2_000  # checked one by one before anything runs
+KEYS = (
+    *("study", "title", "scene", "vary", "observe", "solver"),
+    *("limits", "figures", "expect", "smoke"),
+)
+NAME_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}"
+RESERVED_NAMES = ("store",)  # results/store holds the products of all studies
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one case may take before it is stopped and counted as failed.
+
+    Memory is that of the worker that is at it; None stands for a worker's share of the machine
+    (`sweep.execution.limits.in_force`). Compiling kernels, which happens once on a machine, is
+    no case's time. Neither is part of any product's identity.
+    """
+
+    time: float | None = parameter(
+        "s", default=DAY, above=0, help="time limit of a case, by default 24 h"
+    )
+    memory: float | None = parameter(
+        "B",
+        default=None,
+        above=0,
+        help="memory limit of a case, by default nine tenths of the machine's over its workers",
+    )
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What is drawn beside the default figures."""
+
+    maps: tuple[float, ...] = parameter(
+        "s", default=(), above=0, help="times at which pressure maps are drawn"
+    )
+    compare: str | None = parameter(
+        default=None,
+        choices=("linear", "radial"),
+        help="formula to compare with: linear (Eq. 24) or radial (Eq. 29)",
+    )
+
+
+LIMITS, FIGURES = block_of(Limits), block_of(Figures)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study that can be run. `sweep.study.cases` turns it into scenes."""
+
+    name: str
+    title: str
+    path: Path
+    text: str
+    sha256: str  # of the file
+    smoke: bool  # whether its smoke block was applied
+    axes: tuple[Axis, ...]
+    values: Mapping[str, Any]  # of the scene, SI, without those of the axes; not to be changed
+    limits: Limits
+    figures: Figures
+    promised: tuple[Expectation, ...] = ()  # one for all cases, or one for each variant; or none
+
+    def expectation(self, index: Sequence[int]) -> Expectation:
+        """How the case at a position along each axis should end."""
+        if len(self.promised) < 2:
+            return self.promised[0] if self.promised else Expectation()
+        number = next(number for number, axis in enumerate(self.axes) if axis.names)
+        return self.promised[index[number]]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Number of values of each axis."""
+        return tuple(len(axis.values) for axis in self.axes)
+
+
+def load_study(path: str | Path, *, smoke: bool = False) -> Study:
+    """Read and check a study file.
+
+    Parameters
+    ----------
+    path : the YAML file.
+    smoke : apply the overrides of its `smoke` block (they are checked in any case).
+
+    Raises
+    ------
+    StudyError : with every problem of the file, each at its line and column.
+    """
+    source = read_source(path)
+    full, reading = _interpret(source, source.root)
+    problems = [*source.problems, *reading.problems]
+    small = full
+    override = source.root.entries.get("smoke")
+    if override is not None and not (isinstance(override, Scalar) and override.empty):
+        root, written, smoke_problems = overlaid(source.root, override)
+        problems += smoke_problems
+        small, reading = _interpret(source, root)
+        known = {(problem.line, problem.column, problem.message) for problem in problems}
+        problems += [
+            problem
+            if Place(problem.line, problem.column) in written
+            else replace(problem, message=f"with the smoke block: {problem.message}")
+            for problem in reading.problems
+            if (problem.line, problem.column, problem.message) not in known
+        ]
+    if problems or full is None or small is None:
+        raise StudyError(path, problems)
+    return replace(small, smoke=True) if smoke else full
+
+
+def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None, Reading]:
+    """The study that a tree of nodes stands for, or None where there are problems."""
+    entries, keys = root.entries, root.keys
+    reading = Reading()
+    meant: set[str | None] = set()  # keys that misspelt ones stand for
+    for key, place in keys.items():
+        if key not in KEYS:
+            meant.add(report_unknown(key, place, KEYS, "", reading, at="the study"))
+    name = "" if "study" in meant else _name(entries.get("study"), reading)
+    title = _title(entries.get("title"), reading) or name
+    drafts = read_drafts(without_variants(entries.get("vary")), reading)
+    variants = read_variants(root, reading)
+    scenes = _scenes_of(root, variants, meant, reading)
+    values = scenes[0]
+    count = count_cases(drafts) * len(scenes)
+    if count > MAX_CASES:
+        message = f"vary makes {count:,} cases; a study may have {MAX_CASES:,} at most"
+        reading.report(keys["vary"], message)
+    axes = read_axes(drafts, values, reading, ends_only=count > MAX_CASES)
+    if variants is not None:
+        if not found_everywhere(drafts, variants, scenes, reading):
+            return None, reading
+        axes.insert(variants.position, variants.located(scenes))
+    axes = labelled(axes)
+    promised = _promised(entries.get("expect"), variants, reading)
+    blocks: dict[str, Any] = {}
+    for key, block in (("limits", LIMITS), ("figures", FIGURES)):
+        node = entries.get(key)
+        blocks[key] = block.cls()
+        if node is not None and not (isinstance(node, Scalar) and node.empty):
+            reading.places[key] = keys[key]
+            problems: list[tuple[str, str]] = []
+            blocks[key] = block.build(block.read(node, key, reading), key, problems)
+            for path, what in problems:
+                if not reading.spoilt(path):
+                    reading.report(reading.place(path), f"{path}: {what}")
+    _check_scenes(values, axes, reading, combine=count <= MAX_CASES)
+    _check_figures(blocks["figures"], values, axes, reading)
+    if reading.problems:
+        return None, reading
+    study = Study(
+        name=name,
+        title=title,
+        path=source.path,
+        text=source.text,
+        sha256=source.sha256,
+        smoke=False,
+        axes=tuple(located.axis for located in axes),
+        values=values,
+        limits=blocks["limits"],
+        figures=blocks["figures"],
+        promised=promised,
+    )
+    return study, reading
+
+
+def _name(node: Node | None, reading: Reading) -> str:
+    rule = "letters, digits, '-', '_' and '.', not beginning with '.'"
+    if node is None or (isinstance(node, Scalar) and node.empty):
+        place = node.place if node is not None else Place(1, 1)
+        reading.report(
+            place, "the study lacks 'study', its name; results/<name> is where it writes"
+        )
+        return ""
+    text = node.text if isinstance(node, Scalar) else "a list"
+    if not isinstance(node, Scalar) or not re.fullmatch(NAME_PATTERN, text):
+        shown = text if len(text) <= 40 else text[:37] + "..."
+        message = f"study '{shown}' names a folder under results/: at most 100 {rule}"
+        reading.report(node.place, message)
+    elif text in RESERVED_NAMES:
+        reading.report(node.place, f"results/{text} is used for something else; take another name")
+    return text
+
+
+def _title(node: Node | None, reading: Reading) -> str:
+    if node is None:
+        return ""
+    if not isinstance(node, Scalar):
+        reading.report(node.place, "title is a line of text; quote it if it holds ': ' or '['")
+        return ""
+    return "" if node.empty else node.text
+
+
+def _scenes_of(
+    root: yaml_source.Mapping,
+    variants: VariantAxis | None,
+    meant: set[str | None],
+    reading: Reading,
+) -> list[dict[str, Any]]:
+    """Values of the scene, of each variant where there are some."""
+    if variants is None:
+        return [_scene_values(root, meant, reading)]
+    known = {*reading.problems}
+    scenes = [_scene_values(variants.points[0].tree, meant, reading)]
+    known |= {*reading.problems}
+    for point in variants.points[1:]:
+        inner = Reading(supplied=reading.supplied)
+        scenes.append(_scene_values(point.tree, meant, inner))
+        reading.problems += [problem for problem in inner.problems if problem not in known]
+        reading.unreadable |= inner.unreadable
+        known |= {*inner.problems}
+    return scenes
+
+
+def _promised(
+    node: Node | None, variants: VariantAxis | None, reading: Reading
+) -> tuple[Expectation, ...]:
+    """What is expected of all cases, or of each variant: its own words go before the study's."""
+
+    def read(node: Node | None, path: str) -> dict[str, Any]:
+        if node is None or (isinstance(node, Scalar) and node.empty):
+            return {}
+        if isinstance(node, Scalar):  # `expect: failed` is short for its status
+            node = yaml_source.Mapping(node.place, {"status": node}, {"status": node.place})
+        given = EXPECT.read(node, path, reading)
+        if isinstance(node, yaml_source.Mapping):  # `time_error: null` takes a bound back
+            given |= {key: None for key in node.entries if key in EXPECT.members} | given
+        return given
+
+    common = read(node, "expect")
+    points = variants.points if variants is not None else ()
+    own = [read(point.expect, "expect") for point in points]
+    if not common and not any(own):
+        return ()
+    built = [EXPECT.build({**common, **one}, "expect", []) for one in own or [{}]]
+    return tuple(built)
+
+
+def _scene_values(
+    root: yaml_source.Mapping, meant: set[str | None], reading: Reading
+) -> dict[str, Any]:
+    """Values of the scene, with those that stand beside it in a study."""
+    scene = root.entries.get("scene")
+    inside = SCENE.without("observe", "solver")
+    reading.places[""] = root.keys.get("scene", Place(1, 1))
+    if scene is None or (isinstance(scene, Scalar) and scene.empty):
+        reading.unreadable.add("")
+        if "scene" not in meant:
+            reading.report(reading.places[""], "the study lacks 'scene', what is to be modelled")
+        values = inside.stand_in()
+    else:
+        values = inside.read(scene, "", reading)
+    for key in ("observe", "solver"):
+        node = root.entries.get(key)
+        if node is None or (isinstance(node, Scalar) and node.empty):
+            continue
+        reading.places[key] = node.place if key == "observe" else root.keys[key]
+        values[key] = SCENE.members[key].section.read(node, key, reading)
+    if "observe" not in values:
+        reading.unreadable.add("observe")
+        values["observe"] = ()
+        if "observe" not in meant:
+            message = f"the study lacks 'observe', a list out of {', '.join(OBSERVABLES)}"
+            reading.report(Place(1, 1), message)
+    return values
+
+
+def _check_scenes(
+    values: dict[str, Any], located: list[Located], reading: Reading, *, combine: bool
+) -> None:
+    """Build the scenes and report what is wrong with them at the place that causes it."""
+    axes = [one.axis for one in located]
+    builder = SceneBuilder(values, axes)
+    whole = not any(
+        path.split(".")[0] == "region" or path in ("", "wells", "boundaries", "probes", "fractures")
+        for path in reading.unreadable
+    )
+    owner = {path: number for number, axis in enumerate(axes) for path in axis.parameters}
+    variants = next((number for number, axis in enumerate(axes) if axis.names), None)
+    origin = (0,) * len(axes)
+    at_origin: set[tuple[str, str]] = set()
+    seen: set[tuple[str, str]] = set()
+    for index in _indices([len(axis.values) for axis in axes], combine):
+        moved = [number for number, k in enumerate(index) if k]
+        for problem in builder.problems(index, whole=whole):
+            path, what = problem
+            if reading.spoilt(path) or problem in at_origin:
+                continue
+            if len(moved) > 1 and problem in seen:
+                continue
+            seen.add(problem)
+            if index == origin:
+                at_origin.add(problem)
+            if path in owner:
+                place = located[owner[path]].places[index[owner[path]]]
+            elif variants is not None and index[variants] and path.split(".")[0] in owner:
+                place = located[variants].places[index[variants]]
+            elif len(moved) == 1:
+                place = located[moved[0]].places[index[moved[0]]]
+            else:
+                place = reading.place(path)
+            settings = " and ".join(setting(axes[number], index[number]) for number in moved)
+            suffix = f" (where {settings})" if settings else ""
+            reading.report(place, f"{path}: {what}{suffix}" if path else f"{what}{suffix}")
+
+
+def _indices(shape: list[int], combine: bool) -> Iterator[tuple[int, ...]]:
+    """The first of all, each value of each axis alone, then combinations while they are few.
+
+    All combinations up to the bound; else those of two axes, if these are few enough. Of an axis
+    longer than the bound, values are taken at even distances and at its end.
+    """
+    origin = (0,) * len(shape)
+    yield origin
+    for number, length in enumerate(shape):
+        stride = -(-length // MOST_COMBINATIONS)
+        for k in sorted({*range(1, length, stride), length - 1} - {0}):
+            yield (*origin[:number], k, *origin[number + 1 :])
+    if not combine:
+        return
+    if math.prod(shape) <= MOST_COMBINATIONS:
+        for index in itertools.product(*map(range, shape)):
+            if sum(k > 0 for k in index) > 1:
+                yield index
+        return
+    pairs = list(itertools.combinations(range(len(shape)), 2))
+    if sum((shape[a] - 1) * (shape[b] - 1) for a, b in pairs) <= MOST_COMBINATIONS:
+        for a, b in pairs:
+            for i, j in itertools.product(range(1, shape[a]), range(1, shape[b])):
+                yield tuple(i if k == a else j if k == b else 0 for k in range(len(shape)))
+
+
+def setting(axis: Axis, k: int) -> str:
+    """A point of an axis in words: `stress_yy = 5 MPa`."""
+    if axis.names:
+        return f"{axis.name} = {axis.names[k]}"
+    shown = map(describe, axis.values[k], axis.units)
+    return f"{axis.name} = {', '.join(shown)}"
+
+
+def _check_figures(
+    figures: Figures, values: dict[str, Any], located: list[Located], reading: Reading
+) -> None:
+    """Figures that the study cannot draw."""
+    if figures.maps and not reading.spoilt("figures.maps"):
+        place = reading.place("figures.maps")
+        if min(figures.maps) <= 0:
+            reading.report(place, "figures.maps: times must be positive")
+        if "pressure_map" not in values["observe"] and not reading.spoilt("observe"):
+            reading.report(
+                place, "figures.maps: pressure maps are drawn where pressure_map is observed"
+            )
+        times = SCENE.members["times"].section.build(values.get("times", ()), "times", [])
+        for time in figures.maps:
+            if times and (time < times[0] or time > times[-1]):
+                ends = " to ".join(format_quantity(end, "s") for end in (times[0], times[-1]))
+                reading.report(
+                    place, f"figures.maps: {format_quantity(time, 's')} is not in times, {ends}"
+                )
+    region = values.get("region") or {}
+    wanted = {"linear": "rectangle", "radial": "circle"}.get(figures.compare or "")
+    shape = region.get("shape")
+    if wanted and shape and shape != wanted:
+        message = f"figures.compare: {figures.compare} is the flow in a {wanted}, not in a {shape}"
+        reading.report(reading.place("figures.compare"), message)

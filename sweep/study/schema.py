@@ -1,0 +1,192 @@
+"""JSON Schema (2020-12) of a study, for editors: made from the grammar that reads studies.
+
+It is as strict as a schema can be without repeating the model: keys, words, the form of
+quantities, bounds of bare numbers. Units' dimensions and what holds between blocks are
+`load_study`'s to check.
+"""
+
+from __future__ import annotations
+
+import typing
+from typing import Any
+
+from demflow.sweep.study.axes import MAX_CASES
+from demflow.sweep.study.blocks import Block, Named, Variants, Words
+from demflow.sweep.study.expect import EXPECT
+from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
+from demflow.sweep.study.scene import SCENE, InitialForms, ProbeForms, Times
+from demflow.sweep.study.sections import Parameter, Section
+from demflow.sweep.study.units import QUANTITY_PATTERN, example
+
+_BOUNDS = {
+    "above": "exclusiveMinimum",
+    "at_least": "minimum",
+    "below": "exclusiveMaximum",
+    "at_most": "maximum",
+}
+
+Schema = dict[str, Any]
+
+
+def study_schema() -> Schema:
+    """The schema as a dict that `json.dumps` takes."""
+    scene = SCENE.without("observe", "solver")
+    value = {"description": "a value of the parameter: a quantity, a word or a list"}
+    path = {"type": "string", "description": "path inside scene, as in wells.producer.rate"}
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "demflow study",
+        "type": "object",
+        "required": ["study", "scene", "observe"],
+        "additionalProperties": False,
+        "properties": {
+            "study": {
+                "type": "string",
+                "pattern": f"^{NAME_PATTERN}$",
+                "description": "name; results/<name> is where it writes",
+            },
+            "title": {"type": "string", "description": "one line for figures and report"},
+            "scene": _schema(scene) | {"description": "what is modelled"},
+            "vary": {
+                "type": "object",
+                "description": f"axes; they multiply, up to {MAX_CASES} cases",
+                "propertyNames": {"pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
+                "additionalProperties": {"oneOf": _axis_forms(path, value)},
+            },
+            "observe": _schema(SCENE.members["observe"].section)
+            | {"description": "what is wanted; it decides what is run"},
+            "solver": _schema(SCENE.members["solver"].section),
+            "limits": _schema(LIMITS),
+            "figures": _schema(FIGURES),
+            "expect": _schema(EXPECT) | {"description": "how the cases end, within which bounds"},
+            "smoke": {
+                "type": "object",
+                "description": "overrides that make the study small: path -> value",
+            },
+        },
+    }
+
+
+def _axis_forms(path: Schema, value: Schema) -> list[Schema]:
+    listed = {"type": "array", "minItems": 1, "items": value}
+    spaced = {
+        "parameter": path,
+        "from": _quantity({}, "first value"),
+        "to": _quantity({}, "last value"),
+        "count": {"type": "integer", "minimum": 1, "maximum": MAX_CASES},
+        "spacing": {"enum": ["linear", "log"]},
+    }
+    together = {
+        "parameters": {"type": "array", "minItems": 1, "items": path},
+        "values": {"type": "array", "minItems": 1, "items": {"type": "array", "items": value}},
+    }
+    variants = {
+        "variants": {
+            "type": "object",
+            "minProperties": 1,
+            "additionalProperties": {
+                "type": ["object", "null"],
+                "description": "overrides of the scene: path -> value; expect says how it ends",
+            },
+        },
+        "values": {"type": "array", "items": {"type": "string"}},
+    }
+    return [
+        _object({"parameter": path, "values": listed}, ["parameter", "values"]),
+        _object(spaced, ["parameter", "from", "to", "count"]),
+        _object(together, ["parameters", "values"]),
+        _object(variants, ["variants"]),
+    ]
+
+
+def _schema(section: Section) -> Schema:
+    if isinstance(section, Parameter):
+        return _parameter(section)
+    if isinstance(section, Block):
+        return _block(section, {})
+    if isinstance(section, Variants):
+        return {
+            "oneOf": [
+                _block(block, {section.tag: {"const": word}})
+                for word, block in section.blocks.items()
+            ]
+        }
+    if isinstance(section, Named):
+        return {"type": "object", "additionalProperties": _schema(section.inner)}
+    if isinstance(section, Words):
+        items = {"enum": list(section.choices)}
+        return {"type": "array", "minItems": 1, "uniqueItems": True, "items": items}
+    if isinstance(section, Times):
+        return {"oneOf": [_schema(section.listed), _schema(section.spaced)]}
+    if isinstance(section, ProbeForms):
+        return {"oneOf": [_schema(section.point), _schema(section.line)]}
+    if isinstance(section, InitialForms):
+        forms = [_schema(section.number), {"const": section.word}, _schema(section.field)]
+        return {"anyOf": forms}
+    raise TypeError(f"no schema for {type(section).__name__}")
+
+
+def _object(properties: Schema, required: list[str]) -> Schema:
+    return {
+        "type": "object",
+        "properties": properties,
+        "required": required,
+        "additionalProperties": False,
+    }
+
+
+def _block(block: Block, tag: Schema) -> Schema:
+    """A mapping with the keys of a dataclass; an optional key may stand empty."""
+    properties = dict(tag)
+    required = list(tag)
+    for key, member in block.members.items():
+        inner = _schema(member.section)
+        if member.required:
+            required.append(key)
+        else:
+            inner = {"anyOf": [inner, {"type": "null"}]}
+        properties[key] = inner
+    text = (block.cls.__doc__ or "").strip().splitlines()
+    return _object(properties, required) | {"description": text[0] if text else ""}
+
+
+def _parameter(parameter: Parameter) -> Schema:
+    meta = parameter.declared.metadata
+    if parameter.choices:
+        return {"enum": list(parameter.choices), "description": parameter.help}
+    bounds = {word: meta[key] for key, word in _BOUNDS.items() if meta.get(key) is not None}
+    schema = _value(parameter.type, parameter.unit, bounds)
+    default = parameter.declared.default
+    if isinstance(default, int | float | str):
+        schema["default"] = default
+    return schema | {"description": _described(parameter)}
+
+
+def _described(parameter: Parameter) -> str:
+    if parameter.unit == "1":
+        return parameter.help
+    unit = f"{parameter.unit}; for instance " if ", " not in parameter.unit else ""
+    return f"{parameter.help} [{unit}{', '.join(map(example, parameter.unit.split(', ')))}]"
+
+
+def _value(kind: Any, unit: str, bounds: Schema) -> Schema:
+    arguments = typing.get_args(kind)
+    if arguments and arguments[-1] is Ellipsis:
+        return {"type": "array", "items": _value(arguments[0], unit, bounds)}
+    if arguments:
+        units = unit.split(", ")
+        units = units if len(units) == len(arguments) else [unit] * len(arguments)
+        items = [_value(one, u, bounds) for one, u in zip(arguments, units, strict=True)]
+        return {"type": "array", "prefixItems": items, "minItems": len(items), "items": False}
+    if kind is str:
+        return {"type": "string"}
+    if kind is bool:
+        return {"type": "boolean"}
+    if kind is int:
+        return {"type": "integer", **bounds}
+    return _quantity(bounds, "")
+
+
+def _quantity(bounds: Schema, description: str) -> Schema:
+    forms = [{"type": "number", **bounds}, {"type": "string", "pattern": QUANTITY_PATTERN}]
+    return {"anyOf": forms} | ({"description": description} if description else {})
