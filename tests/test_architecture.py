@@ -17,6 +17,7 @@ MODEL = (
     ("model.region",),
     ("model.scene",),
     ("model.outcome", "model.compilation", "model.products", "model.transient"),
+    ("model.kernel_cache",),
     ("model.compile",),
     ("model.memory",),
     ("model.quantities",),
@@ -60,7 +61,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.figures": ("model.analytic", "model.transient"),
 }
 DOORS = {  # outer library: the only rooms that may import it
-    "numba": {"model.compile"},
+    "numba": {"model.compile", "model.kernel_cache"},
     "qdldl": {"model.mechanics.static.stiffness"},
     "dask": {"sweep.execution.local", "sweep.execution.cluster"},
     "distributed": {

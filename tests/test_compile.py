@@ -25,6 +25,13 @@ def caller(x):
     return law(x)
 """
 
+PAIR = """
+from typing import NamedTuple
+
+class Pair(NamedTuple):
+    a: int; b: int
+"""
+
 COMPILE = """
 import sys, time
 from numba.core import caching
@@ -45,10 +52,11 @@ assert caller(eval(sys.argv[1])) == 2 * eval(sys.argv[1])
 
 def small_model(folder: Path) -> dict[str, str]:
     """A package of two kernels under the model's own policy; the environment to import it."""
-    package = folder / "model"
-    package.mkdir()
+    package = folder / "demflow" / "model"
+    package.mkdir(parents=True)
     (package / "__init__.py").touch()
-    for name in ("compile.py", "compilation.py"):
+    (package.parent / "__init__.py").touch()
+    for name in ("compile.py", "compilation.py", "kernel_cache.py"):
         shutil.copy(MODEL / name, package)
     (package / "law.py").write_text(LAW)
     (package / "caller.py").write_text(CALLER)
@@ -68,17 +76,17 @@ def answer(code: str, folder: Path, environment: dict[str, str]) -> str:
 
 def test_a_changed_law_is_never_answered_from_the_cache(tmp_path):
     environment = small_model(tmp_path)
-    code = "from model.caller import caller; print(caller(1.5))"
+    code = "from demflow.model.caller import caller; print(caller(1.5))"
     assert answer(code, tmp_path, environment) == "3.0\n"
-    (tmp_path / "model" / "law.py").write_text(LAW.replace("2 * x", "5 * x"))
+    (tmp_path / "demflow" / "model" / "law.py").write_text(LAW.replace("2 * x", "5 * x"))
     assert answer(code, tmp_path, environment) == "7.5\n"
 
 
 def test_the_time_of_a_compilation_is_told_and_that_of_the_cache_is_not(tmp_path):
     environment = small_model(tmp_path)
     code = (
-        "import time; from model.compilation import compilation as c\n"
-        "from model.caller import caller\n"
+        "import time; from demflow.model.compilation import compilation as c\n"
+        "from demflow.model.caller import caller\n"
         "told = []; c.listener = told.append; begin = time.perf_counter()\n"
         "caller(1.5); caller(2.5)\n"
         "print(len(told), told[1:] == [c.seconds], c.seconds < time.perf_counter() - begin)\n"
@@ -105,7 +113,62 @@ def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
         process.communicate(timeout=60)
         assert process.returncode == 0
     code = (
-        "from model.caller import caller\n"
+        "from demflow.model.caller import caller\n"
         "print([caller(x) for x in (1, 1.5, 2j)], sum(caller.stats.cache_hits.values()))\n"
     )
     assert answer(code, tmp_path, environment) == "[2, 3.0, 4j] 3\n"
+
+
+def compiled(code: str, folder: Path, environment: dict[str, str]) -> int:
+    """How many kernels are compiled anew by some code."""
+    counting = "from demflow.model.compilation import compilation as c\nn=[]; c.listener=n.append\n"
+    return int(answer(f"{counting}{code}\nprint(len(n))", folder, environment))
+
+
+def test_an_edit_that_means_nothing_compiles_nothing(tmp_path):
+    environment = small_model(tmp_path)
+    law = tmp_path / "demflow" / "model" / "law.py"
+    code = "from demflow.model.caller import caller; caller(1.5)"
+    assert compiled(code, tmp_path, environment) > 0
+    for text in (
+        LAW,
+        f"# a comment above\n\n{LAW}",
+        LAW.replace("return", "# another\n    return"),
+        LAW.replace("    return", '    """A law."""\n    return'),
+        LAW + "\nunused = 3\n",
+    ):
+        law.write_text(text)
+        assert compiled(code, tmp_path, environment) == 0, text
+
+
+def test_what_a_kernel_names_is_part_of_what_it_means(tmp_path):
+    environment = small_model(tmp_path)
+    law = tmp_path / "demflow" / "model" / "law.py"
+    code = "from demflow.model.caller import caller; print(caller(1.5))"
+    two = LAW.replace("2 * x", "FACTOR * x")
+    for factor, right in (("2", "3.0\n"), ("7", "10.5\n"), ("2", "3.0\n")):
+        law.write_text(two + f"\nFACTOR = {factor}\n")
+        assert answer(code, tmp_path, environment) == right
+
+
+def test_the_order_of_the_fields_that_are_passed_counts(tmp_path):
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "law.py").write_text(LAW.replace("2 * x", "x.a + 10 * x.b"))
+    (tmp_path / "pair.py").write_text(PAIR)
+    code = (
+        "from pair import Pair; from demflow.model.caller import caller; print(caller(Pair(1, 2)))"
+    )
+    assert answer(code, tmp_path, environment) == "21\n"
+    (tmp_path / "pair.py").write_text(PAIR.replace("a: int; b: int", "b: int; a: int"))
+    assert answer(code, tmp_path, environment) == "12\n"
+
+
+def test_a_folder_that_others_can_write_holds_no_kernels(tmp_path):
+    environment = small_model(tmp_path)
+    planted = tmp_path / "cache" / "demflow"
+    planted.mkdir(parents=True)
+    code = "from demflow.model.kernel_cache import cache_folder; print(cache_folder())"
+    name = Path(answer(code, tmp_path, environment).strip()).name
+    assert (planted / name).stat().st_mode & 0o777 == 0o700
+    (planted / name).chmod(0o777)
+    assert Path(answer(code, tmp_path, environment).strip()).parent != planted
