@@ -23,7 +23,7 @@ from demflow.sweep.execution.memory import peak_memory
 from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.plan.graph import MODEL
-from demflow.sweep.prepared import Prepared, prepare
+from demflow.sweep.prepared import Project, prepare
 from demflow.sweep.store.durable import naming, write_durably
 from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.lock import FolderLock
@@ -218,7 +218,7 @@ def draw_study(
         return draw(prepared, finished)
 
 
-def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finished:
+def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finished:
     """Write figures and report; those that are there stay unless they are drawn `again`."""
     folder = prepared.folder
     report = folder / REPORT_FILE
@@ -236,7 +236,7 @@ def draw(prepared: Prepared, finished: Finished, *, again: bool = True) -> Finis
     return replace(finished, figures=tuple(figures), report=report)
 
 
-def as_expected(prepared: Prepared, verdicts: list[Verdict]) -> np.ndarray:
+def as_expected(prepared: Project, verdicts: list[Verdict]) -> np.ndarray:
     """Which cases ended as the study says that they should, (cases,) bool.
 
     Without a word about it in the study, every case should be done. Bounds are held against
@@ -276,7 +276,7 @@ class _How:
 
 
 def _execute(
-    prepared: Prepared, how: _How, progress: Callable[[Progress], None] | None
+    prepared: Project, how: _How, progress: Callable[[Progress], None] | None
 ) -> Executed | None:
     """Run what is missing; None where nothing is, and then no worker is started."""
     plan, store = prepared.plan, prepared.store
@@ -316,7 +316,7 @@ def _execute(
 
 
 @contextmanager
-def _nothing_run_yet(prepared: Prepared) -> Iterator[None]:
+def _nothing_run_yet(prepared: Project) -> Iterator[None]:
     """Say of a folder that cannot be written that it is the wrong one."""
     try:
         yield
@@ -325,7 +325,7 @@ def _nothing_run_yet(prepared: Prepared) -> Iterator[None]:
         raise StoreError(f"{where} cannot be written: {error.strerror or error}") from error
 
 
-def _check_own(prepared: Prepared) -> None:
+def _check_own(prepared: Project) -> None:
     """Raise StoreError where the folder of a study's results is used for something else."""
     folder = prepared.folder
     names = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
@@ -354,7 +354,7 @@ def _names(path: Path, study: str) -> bool:
     return re.search(rf"^study:\s*[\"']?{re.escape(study)}[\"']?\s*(#|$)", text, re.M) is not None
 
 
-def _changed(prepared: Prepared) -> bool:
+def _changed(prepared: Project) -> bool:
     """Whether the study file was changed, or is gone, since it was read."""
     try:
         return Path(prepared.study.path).read_bytes() != prepared.study.text.encode()
@@ -362,7 +362,7 @@ def _changed(prepared: Prepared) -> bool:
         return True
 
 
-def _remove_partial(prepared: Prepared) -> None:
+def _remove_partial(prepared: Project) -> None:
     """Remove half files that interrupted or killed processes have left. Only under the lock."""
     prepared.store.remove_partial()
     for left in prepared.folder.glob("*.partial"):
@@ -371,14 +371,14 @@ def _remove_partial(prepared: Prepared) -> None:
                 left.unlink()
 
 
-def _keep(prepared: Prepared, name: str) -> None:
+def _keep(prepared: Project, name: str) -> None:
     """Keep the text of the study in its folder, so that others know what it refers to."""
     path, text = prepared.folder / name, prepared.study.text.encode()
     if not path.exists() or path.read_bytes() != text:
         write_durably(path, text)
 
 
-def _collect(prepared: Prepared) -> tuple[list[Verdict], bool, list[str]]:
+def _collect(prepared: Project) -> tuple[list[Verdict], bool, list[str]]:
     """Write the dataset unless it is that of these products.
 
     Returns how each case ended, whether the dataset was written, and what is damaged.

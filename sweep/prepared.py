@@ -29,7 +29,7 @@ MORE = 1.25  # times the memory that was short, from which on a case is tried ag
 
 
 @dataclass(frozen=True)
-class Prepared:
+class Project:
     """A study, its plan, and what of it is stored."""
 
     study: Study
@@ -97,7 +97,7 @@ def prepare(
     smoke: bool = False,
     table: str = MODEL,
     create: bool = False,
-) -> Prepared:
+) -> Project:
     """Read a study, make its plan and open the store of its results.
 
     Nothing is written unless `create` says so. Raises StudyError, StoreError.
@@ -112,7 +112,7 @@ def prepare(
 
     root = Path(results)
     store = Store.open(root / "store", create=create)
-    return Prepared(study, plan, store, root / study.name, scene_of, table)
+    return Project(study, plan, store, root / study.name, scene_of, table)
 
 
 def planned(study: Study, table: str = MODEL) -> Plan:

@@ -42,7 +42,7 @@ class Ladder(NamedTuple):
     refusal: str  # why the first setting that failed did so
 
 
-class ModelError(NamedTuple):
+class ModelSpread(NamedTuple):
     """How far the networks of one scene and size are from the continuum, packing by packing."""
 
     scene: str
@@ -57,7 +57,7 @@ class SpeedError(NamedTuple):
     scenes: tuple[str, ...]
     sizes: tuple[int, ...]
     ladders: list[Ladder]
-    models: list[ModelError]
+    models: list[ModelSpread]
 
 
 def roles_of(study: Study) -> Roles | None:
@@ -87,7 +87,7 @@ def speed_against_error(
             ladders += _ladders(part, roles.solver, settings, scene, grains)
             found = _model_error(part, here, roles, scene_of, maps_of)
             if found is not None:
-                models.append(ModelError(scene, found[0], grains, found[1]))
+                models.append(ModelSpread(scene, found[0], grains, found[1]))
     return SpeedError(scenes, sizes, ladders, models)
 
 

@@ -15,7 +15,7 @@ from demflow.sweep.study.yaml_source import StudyError
 
 if TYPE_CHECKING:
     from demflow.sweep.engine import Finished
-    from demflow.sweep.prepared import Prepared
+    from demflow.sweep.prepared import Project
 
 GOOD, SOME_FAILED, WRONG = 0, 1, 2  # exit status
 MOST_SHOWN = 20  # failed cases that `status` names one by one
@@ -220,7 +220,7 @@ def schema(options: argparse.Namespace) -> int:
     return GOOD
 
 
-def _prepare(options: argparse.Namespace) -> Prepared:
+def _prepare(options: argparse.Namespace) -> Project:
     from demflow.sweep.prepared import prepare
 
     return prepare(options.study, options.results, smoke=options.smoke)
@@ -252,7 +252,7 @@ def _tell_places(finished: Finished, options: argparse.Namespace) -> None:
         print(f"{name:8} {path}")
 
 
-def _at(prepared: Prepared, case: int) -> dict[str, Any]:
+def _at(prepared: Project, case: int) -> dict[str, Any]:
     """Where a case lies, in the coordinates of the dataset."""
     import numpy as np
 
@@ -265,7 +265,7 @@ def _at(prepared: Prepared, case: int) -> dict[str, Any]:
     }
 
 
-def _place(prepared: Prepared, case: int) -> str:
+def _place(prepared: Project, case: int) -> str:
     """Where a case lies, in words and with units."""
     import numpy as np
 

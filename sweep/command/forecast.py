@@ -11,11 +11,11 @@ import numpy as np
 
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import peak_memory
-from demflow.sweep.plan.graph import Kind, Plan
-from demflow.sweep.prepared import Prepared
+from demflow.sweep.plan.graph import CostClass, Plan
+from demflow.sweep.prepared import Project
 
 
-def forecast(prepared: Prepared, workers: int) -> dict[str, Any]:
+def forecast(prepared: Project, workers: int) -> dict[str, Any]:
     """Return what a run would do, and what that would cost by what runs cost so far.
 
     A number is None where a stage that would run was never measured; `unknown` names such
@@ -79,7 +79,7 @@ def forecast(prepared: Prepared, workers: int) -> dict[str, Any]:
 
 
 def _elapsed(
-    plan: Plan, left: np.ndarray, seconds: dict[Kind, float | None], workers: int
+    plan: Plan, left: np.ndarray, seconds: dict[CostClass, float | None], workers: int
 ) -> float:
     """Seconds of all runs that are left: shared by the workers, or one after the other.
 

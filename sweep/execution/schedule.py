@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.sweep.execution.blame import Blame
-from demflow.sweep.plan.graph import Kind, Plan
+from demflow.sweep.plan.graph import CostClass, Plan
 from demflow.sweep.store.costs import Costs
 
 BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts at least about this long
@@ -67,7 +67,7 @@ class Schedule:
         self.suspects: set[int] = set()
         self.blame = Blame()
         self.bundle_seconds = BUNDLE_SECONDS
-        number: dict[Kind, int] = {}
+        number: dict[CostClass, int] = {}
         self._kind = np.array(
             [number.setdefault(run.kind, len(number)) for run in plan.runs], dtype=np.int32
         )

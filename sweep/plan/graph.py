@@ -53,7 +53,7 @@ def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray
     return of_the_model(scene, products)
 
 
-class Kind(NamedTuple):
+class CostClass(NamedTuple):
     """What decides the cost of a stage run."""
 
     stage: str
@@ -62,7 +62,7 @@ class Kind(NamedTuple):
     step: int  # its size, ln(grains) / SIZE_STEP
 
     @classmethod
-    def of(cls, stage: Stage, scene: Scene) -> Kind:
+    def of(cls, stage: Stage, scene: Scene) -> CostClass:
         """The kind of a stage's run for a scene."""
         method = stage.reads.get("method")
         variant = "" if method is None else str(method(scene))
@@ -89,7 +89,7 @@ class StageRun(NamedTuple):
     stage: int  # row of the table of stages
     parents: tuple[int, ...]  # runs whose products it takes, −1 for a stage that is not run
     case: int  # the first case that wants it
-    kind: Kind
+    kind: CostClass
 
 
 @dataclass(frozen=True)
@@ -149,7 +149,7 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
     readers = [_Reader(stage.reads) for stage in stages]
     runs: list[StageRun] = []
     index: dict[str, int] = {}
-    kinds: dict[Kind, Kind] = {}  # one object each
+    kinds: dict[CostClass, CostClass] = {}  # one object each
     cases: list[np.ndarray] = []
     impossible: dict[int, str] = {}
     for number, scene in enumerate(scenes):
@@ -166,7 +166,7 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
             identity = product_id(stage.name, stage.version, readers[k](scene), parent_ids)
             run = index.setdefault(identity, len(runs))
             if run == len(runs):
-                kind = Kind.of(stage, scene)
+                kind = CostClass.of(stage, scene)
                 runs.append(StageRun(identity, k, parents, number, kinds.setdefault(kind, kind)))
             own[k] = run
     table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from demflow.sweep.plan.graph import SIZE_STEP, Kind
+from demflow.sweep.plan.graph import SIZE_STEP, CostClass
 from demflow.sweep.store.durable import write_durably
 from demflow.sweep.store.products import Store
 from demflow.sweep.store.versions import machine
@@ -115,7 +115,7 @@ class Costs:
                 write_durably(machine_file(), json.dumps(told, indent=1).encode())
 
     def add(
-        self, kind: Kind, seconds: float, stored: int, memory: int = 0, compiled: bool = False
+        self, kind: CostClass, seconds: float, stored: int, memory: int = 0, compiled: bool = False
     ) -> None:
         """Count one more run; whether its worker had compiled kernels before."""
         sizes = self.known.setdefault(kind.key, {})
@@ -125,17 +125,17 @@ class Costs:
         """Note the memory of a process that led a run, bytes."""
         self.main = min(self.main or memory, memory)
 
-    def seconds(self, kind: Kind) -> float | None:
+    def seconds(self, kind: CostClass) -> float | None:
         """Expected seconds of a run, None if its stage was never run."""
         times = {step: spent.typical for step, spent in self._sizes(kind).items()}
         return scaled(times, self._sizes(kind), kind.step)
 
-    def stored(self, kind: Kind) -> float | None:
+    def stored(self, kind: CostClass) -> float | None:
         """Expected bytes of a product, None if its stage was never run."""
         sizes = {step: spent.stored / spent.runs for step, spent in self._sizes(kind).items()}
         return scaled(sizes, self._sizes(kind), kind.step)
 
-    def memory(self, kind: Kind) -> float | None:
+    def memory(self, kind: CostClass) -> float | None:
         """Expected memory of a worker after a run, bytes; None if its stage was never run.
 
         What a process holds before it does anything does not grow with the case: as much as
@@ -151,7 +151,7 @@ class Costs:
         growth = math.exp(SIZE_STEP * (kind.step - near))
         return least + (peaks[near] - least) * growth
 
-    def _sizes(self, kind: Kind) -> dict[int, Spent]:
+    def _sizes(self, kind: CostClass) -> dict[int, Spent]:
         return self.known.get(kind.key, {})
 
 

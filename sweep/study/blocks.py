@@ -107,7 +107,7 @@ class Block(Section):
         if member is None:
             raise NoParameter
         inner = values.get(parts[0])
-        if inner is None and isinstance(member.section, Block | Variants):
+        if inner is None and isinstance(member.section, Block | OneOf):
             raise NoParameter(f"the scene has no {parts[0]}")
         return member.section.find(inner, parts[1:])
 
@@ -123,7 +123,7 @@ class Block(Section):
 
 
 @dataclass(frozen=True)
-class Variants(Section):
+class OneOf(Section):
     """A block of several kinds; one of its keys (`shape`, `kind`) says which."""
 
     tag: str
@@ -166,7 +166,7 @@ class Variants(Section):
 class Named(Section):
     """A mapping of names that the user chooses to blocks of one sort, or to quantities."""
 
-    inner: Any  # Block, Variants, ProbeForms; or a Parameter, then built as (name, value)
+    inner: Any  # Block, OneOf, ProbeForms; or a Parameter, then built as (name, value)
 
     def read(self, node: Node, path: str, reading: Reading) -> dict[str, Any]:
         """Values by name; what cannot be read at all is left out."""
@@ -304,11 +304,11 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _blocks(kinds: tuple[Any, ...], words: KindWords) -> Block | Variants:
+def _blocks(kinds: tuple[Any, ...], words: KindWords) -> Block | OneOf:
     if len(kinds) == 1:
         return block_of(kinds[0], words=words)
     (tag,) = {words[kind][0] for kind in kinds}
-    return Variants(tag, {words[kind][1]: block_of(kind, words=words) for kind in kinds})
+    return OneOf(tag, {words[kind][1]: block_of(kind, words=words) for kind in kinds})
 
 
 def _unchecked(cls: type[Any], given: dict[str, Any]) -> Any:
@@ -332,6 +332,6 @@ def _meant(section: Section) -> str:
         return f" ({section.help}), for instance {shown}"
     if isinstance(section, Block):
         return f", a mapping with the keys {', '.join(section.members)}"
-    if isinstance(section, Variants):
+    if isinstance(section, OneOf):
         return f", a mapping with '{section.tag}', one of {', '.join(section.blocks)}"
     return ""

@@ -11,7 +11,7 @@ import typing
 from typing import Any
 
 from demflow.sweep.study.axes import MAX_CASES
-from demflow.sweep.study.blocks import Block, Named, Variants, Words
+from demflow.sweep.study.blocks import Block, Named, OneOf, Words
 from demflow.sweep.study.expect import EXPECT
 from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
 from demflow.sweep.study.scene import SCENE, InitialForms, ProbeForms, Times
@@ -104,7 +104,7 @@ def _schema(section: Section) -> Schema:
         return _parameter(section)
     if isinstance(section, Block):
         return _block(section, {})
-    if isinstance(section, Variants):
+    if isinstance(section, OneOf):
         return {
             "oneOf": [
                 _block(block, {section.tag: {"const": word}})

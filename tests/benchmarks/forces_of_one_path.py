@@ -16,7 +16,7 @@ import numpy as np
 from demflow.model.mechanics.loading import stress as stage
 from demflow.model.mechanics.motion.equilibrium import Stop
 from demflow.model.mechanics.specimen.measures import listed
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.products import Packing
 from tests.benchmarks.result import Result, at_most
 from tests.benchmarks.specimens import CONTACTS, packed
@@ -49,7 +49,7 @@ def forces(rock: Packing, ratio: float, way: Way) -> np.ndarray:
     """Normal and shear forces of all pairs that touched at first, unbonded."""
     random = np.random.default_rng(1)
     shift = way.noise * rock.radius.mean() * random.standard_normal(len(rock.x))
-    specimen = specimen_of(rock._replace(x=rock.x + shift), bonds=None, **CONTACTS)
+    specimen = build_specimen(rock._replace(x=rock.x + shift), bonds=None, **CONTACTS)
     path = stage.straight_path(PRESSURE, ratio * PRESSURE, PRESSURE)
     path = path._replace(gain=way.gain, pace=way.pace * path.pace)
     specimen.relax(path, Stop(ratio=1e-4, stress=1e-4), damping=way.damping, steps=200_000)

@@ -10,7 +10,7 @@ import numpy as np
 from demflow.model.mechanics.loading.stress import DAMPING, straight_path
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
 from demflow.model.mechanics.packing.packing import pack
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.products import Packing
 from demflow.model.region import Rectangle
 from demflow.model.scene import Bonds
@@ -48,7 +48,7 @@ def our_steps(packing: Packing, bonds: Bonds | None) -> tuple[list[float], Speci
     path = straight_path(pressure, 2.0 * pressure, pressure)
     n = len(packing.x)
     steps = max(200, PARTICLE_STEPS // n)
-    specimen = specimen_of(packing, KN, STIFFNESS_RATIO, FRICTION, bonds)
+    specimen = build_specimen(packing, KN, STIFFNESS_RATIO, FRICTION, bonds)
     specimen.relax(path, NEVER, damping=DAMPING, steps=1)
     for _ in range(REPEATS):
         start = time.perf_counter()

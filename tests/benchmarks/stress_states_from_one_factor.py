@@ -15,7 +15,7 @@ import statistics
 
 import numpy as np
 
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.mechanics.static.load_carrying import carrying, contacts_of
 from demflow.model.mechanics.static.stiffness import ANCHOR, matrix
 from demflow.model.outcome import ModelError
@@ -46,7 +46,7 @@ def linear_residual(rock: str, count: int) -> float:
     packing, units = packed(count), responses(rock, count)
     elastic = {k: v for k, v in CONTACTS.items() if k != "normal_stiffness"}
     bonds = CEMENTS[rock].elastic(CONTACTS["normal_stiffness"])
-    specimen = specimen_of(packing, 1.0, bonds=bonds, **elastic)
+    specimen = build_specimen(packing, 1.0, bonds=bonds, **elastic)
     contacts = contacts_of(specimen)
     stiffness = matrix(specimen.grains, contacts, specimen.bonds, specimen.law)
     box = specimen.box

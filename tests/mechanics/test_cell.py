@@ -10,8 +10,8 @@ from demflow.model.mechanics.motion.servo import STANDING
 from demflow.model.mechanics.packing.cell import Cell
 from demflow.model.mechanics.packing.compaction import attempt, hydrostatic
 from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.packing.packing_targets import by_porosity
 from demflow.model.mechanics.packing.sizes import sizes_of
-from demflow.model.mechanics.packing.targets import by_porosity
 from demflow.model.mechanics.packing.tiles import tiled
 from demflow.model.mechanics.specimen.measures import porosity
 from demflow.model.outcome import ModelError

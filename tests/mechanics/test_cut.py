@@ -10,7 +10,7 @@ from demflow.model.mechanics.motion.equilibrium import AT_REST, Specimen, Stop
 from demflow.model.mechanics.motion.servo import STANDING
 from demflow.model.mechanics.specimen.cut import cut, excavate, gravity, press_on
 from demflow.model.mechanics.specimen.measures import listed, overlaps
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.region import Circle, Polygon
 from demflow.model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
@@ -24,7 +24,7 @@ REGIONS = (Circle(8.0), Polygon(((-9.0, -6.0), (8.0, -7.0), (6.0, 9.0), (-5.0, 5
 
 
 def pressed(bonds: Bonds | None, *joints: JointLine) -> Specimen:
-    specimen = specimen_of(packed(), KN, 2.5, 0.5, bonds, joints)
+    specimen = build_specimen(packed(), KN, 2.5, 0.5, bonds, joints)
     path = straight_path(2e-4, 3.5e-4, 2.5e-4)
     reason = specimen.relax(path, Stop(ratio=1e-4, stress=1e-3), damping=0.5, steps=100_000)
     assert reason == AT_REST

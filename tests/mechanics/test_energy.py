@@ -11,7 +11,7 @@ from demflow.model.mechanics.loading.stress import straight_path
 from demflow.model.mechanics.motion.equilibrium import FIRE, NEVER, OUT_OF_STEPS, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
 from demflow.model.mechanics.packing.compaction import hydrostatic
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
 
@@ -24,7 +24,7 @@ WEAK = Joint(
 def loaded(**rock):
     """The balance of a rock that is led from its packed state to 2:1."""
     bonds, joints = rock.get("bonds"), rock.get("joints", ())
-    specimen = specimen_of(packed(), KN, 2.5, 0.5, bonds, joints, 1)
+    specimen = build_specimen(packed(), KN, 2.5, 0.5, bonds, joints, 1)
     specimen.relax(hydrostatic(2e-4), NEVER, damping=0.5, steps=2000)  # joints are soft
     specimen.open_ledger()
     path = straight_path(2e-4, 5e-4, 2.5e-4)

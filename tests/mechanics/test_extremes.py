@@ -6,7 +6,7 @@ import pytest
 from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import at_rest, scaled_mass
 from demflow.model.mechanics.loading.strength import strength
-from demflow.model.mechanics.loading.stress import load, specimen_of, unit_loads
+from demflow.model.mechanics.loading.stress import build_specimen, load, unit_loads
 from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
     FIRE,
@@ -163,7 +163,7 @@ def test_one_to_three_bonded_grains_are_loaded_or_refused_in_words(n: int, kind:
 
 @pytest.mark.parametrize("field", ["vx", "spin", "load_y", "x"])
 def test_grains_that_run_away_are_told_at_once(rock, field: str) -> None:
-    specimen = specimen_of(rock, KN, 2.5, 0.5, None)
+    specimen = build_specimen(rock, KN, 2.5, 0.5, None)
     grain = rock.contact_a[len(rock.contact_a) // 2]
     getattr(specimen.grains, field)[grain] = np.nan
     for damping in (0.5, FIRE):
@@ -200,11 +200,11 @@ def test_a_servo_that_overshoots_for_ever_is_told(rock) -> None:
     calm = Servo(3e-4, 3e-4, 3e-4, 3e-4)
     stop = Stop(ratio=1e-3, stress=1e-3)
     for gain, end in ((0.05, AT_REST), (1.0, AT_REST), (4.0, OSCILLATES)):
-        specimen = specimen_of(rock, KN, 2.5, 0.5, None)
+        specimen = build_specimen(rock, KN, 2.5, 0.5, None)
         servo = calm._replace(gain=gain, limit=1e-3)
         assert specimen.relax(servo, stop, damping=0.5, steps=50_000) == end
         assert specimen.steps < 1000
-    driven = specimen_of(rock, KN, 2.5, 0.5, None)  # in y; the servo of x is watched on
+    driven = build_specimen(rock, KN, 2.5, 0.5, None)  # in y; the servo of x is watched on
     servo = calm._replace(gain=4.0, limit=1e-3, drive_y=-1e-9)
     ends = [driven.relax(servo, NEVER, damping=0.5, steps=5) for _ in range(200)]
     assert ends.index(OSCILLATES) > 1

@@ -17,10 +17,10 @@ from demflow.model.mechanics.contact.neighbours import Pairs
 from demflow.model.mechanics.loading.stress import load, unit_loads
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
-from demflow.model.mechanics.specimen.rock import cemented, scaled, specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen, cemented, scaled
 from demflow.model.mechanics.static import static, wall_contacts
-from demflow.model.mechanics.static.displaced import TrueTrial
-from demflow.model.mechanics.static.sticking import HeldTrial
+from demflow.model.mechanics.static.displaced import FrictionalTrial
+from demflow.model.mechanics.static.sticking import StickingTrial
 from demflow.model.outcome import ModelError
 from demflow.model.products import StressState, UnitLoads
 from demflow.model.scene import Bonds, Stress
@@ -41,14 +41,14 @@ def loaded(units: UnitLoads | None, bonds: Bonds, xx: float, yy: float, **how) -
     return load(packed(), units, normal_stiffness=KN, bonds=bonds, stress=target, **GRAINS)
 
 
-def trials(bonds: Bonds, units: UnitLoads) -> tuple[HeldTrial, TrueTrial]:
+def trials(bonds: Bonds, units: UnitLoads) -> tuple[StickingTrial, FrictionalTrial]:
     """The same rock by the law of contacts that hold, and by the true one."""
     _, x, y, radius, box, _ = scaled(packed())
     a, b = units.contact_a, units.contact_b
     cement = cemented(bonds, radius[a], radius[b], units.contact_distance, KN, 2.5, 0)
     law = ContactLaw(1.0, 0.4, 0.5)
-    held = HeldTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
-    return held, TrueTrial(specimen_of(packed(), KN, 2.5, 0.5, bonds), units)
+    held = StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
+    return held, FrictionalTrial(build_specimen(packed(), KN, 2.5, 0.5, bonds), units)
 
 
 @pytest.mark.parametrize(("xx", "yy", "angle"), [(20, 20, 0.0), (24, 18, 0.0), (24, 18, 0.5)])

@@ -10,7 +10,7 @@ from demflow.model.mechanics.contact.joints import APART, LOOSE, Trace
 from demflow.model.mechanics.loading.stress import load
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.scene import Bonds, Joint, JointLine, Stress
 from tests.mechanics.rocks import net_forces, packed
 
@@ -33,7 +33,7 @@ def tilted(angle: float, lean: float, joint: Joint) -> tuple[float, Specimen]:
     """
     reach = 3.0 * np.array([np.cos(angle), np.sin(angle)])
     line = JointLine((-reach[0], -reach[1]), (reach[0], reach[1]), joint)
-    specimen = specimen_of(packed(0.165, count=150), KN, 2.5, 0.5, STRONG, (line,))
+    specimen = build_specimen(packed(0.165, count=150), KN, 2.5, 0.5, STRONG, (line,))
     specimen.box[:] = FAR
     grains = specimen.grains
     upper = height(grains, angle) > 0.0
@@ -199,8 +199,8 @@ def test_a_joint_weakens_the_rock_where_it_says() -> None:
     "line", [((0.0, 0.0), (1e-6, 1e-6)), ((50.0, 50.0), (60.0, 50.0))], ids=["tiny", "outside"]
 )
 def test_a_trace_that_crosses_no_contact_is_counted(line) -> None:
-    plain = specimen_of(packed(), KN, 2.5, 0.5, STRONG)
-    idle = specimen_of(packed(), KN, 2.5, 0.5, STRONG, (JointLine(*line, PLANE),))
+    plain = build_specimen(packed(), KN, 2.5, 0.5, STRONG)
+    idle = build_specimen(packed(), KN, 2.5, 0.5, STRONG, (JointLine(*line, PLANE),))
     assert idle.idle_traces == 1
     assert len(idle.joints.a) == 0
     np.testing.assert_array_equal(plain.pairs.bond, idle.pairs.bond)

@@ -6,8 +6,8 @@ import pytest
 from demflow.model.mechanics.packing.compaction import attempt
 from demflow.model.mechanics.packing.floaters import fit, largest_circle
 from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.packing.packing_targets import PRESSURE, by_porosity
 from demflow.model.mechanics.packing.sizes import sizes_of
-from demflow.model.mechanics.packing.targets import PRESSURE, by_porosity
 from demflow.model.mechanics.specimen import measures
 from demflow.model.region import Circle, Polygon
 from demflow.model.scene import Bonds

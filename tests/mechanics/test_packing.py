@@ -8,8 +8,8 @@ import pytest
 
 from demflow.model.mechanics.packing import compaction
 from demflow.model.mechanics.packing.packing import pack
+from demflow.model.mechanics.packing.packing_targets import PRESSURE, by_porosity, find_pressure
 from demflow.model.mechanics.packing.sizes import draw_radii, sizes_of
-from demflow.model.mechanics.packing.targets import PRESSURE, by_porosity, find_pressure
 from demflow.model.mechanics.specimen.measures import packing_quality, porosity
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing

@@ -7,7 +7,7 @@ import pytest
 
 from demflow.model.mechanics.contact.contacts import NO_WALLS, contact_forces
 from demflow.model.mechanics.loading.stress import load, unit_loads
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.mechanics.static.load_carrying import contacts_of
 from demflow.model.mechanics.static.moduli import RIM, elastic_moduli
 from demflow.model.mechanics.static.stiffness import Contacts, factorise, matrix, solve
@@ -42,7 +42,7 @@ def loaded(rock, units, bonds, friction=0.5, **stress):
 def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
     """At grains without force the law of the explicit solver has no other first-order term."""
     rock = packed(None, kind="hexagonal", count=30)
-    specimen = specimen_of(rock, 1.0, 2.5, 1e9, STRONG[kind])
+    specimen = build_specimen(rock, 1.0, 2.5, 1e9, STRONG[kind])
     grains, n = specimen.grains, len(rock.x)
     grains.x[:] *= 1.0 - 1e-7  # pressed, so that contacts of parallel bonds act both ways
     grains.y[:] *= 1.0 - 1e-7
@@ -73,7 +73,7 @@ def test_stiffness_is_the_derivative_of_the_contact_forces(kind: str) -> None:
 
 def test_factor_solves() -> None:
     rock = packed(count=100)
-    specimen = specimen_of(rock, 1.0, 2.5, 0.5, STRONG["parallel"])
+    specimen = build_specimen(rock, 1.0, 2.5, 0.5, STRONG["parallel"])
     stiffness = matrix(specimen.grains, contacts_of(specimen), specimen.bonds, specimen.law)
     wanted = np.random.default_rng(2).standard_normal(stiffness.shape[0])
     found = solve(factorise(stiffness), stiffness @ wanted)
@@ -188,7 +188,7 @@ def test_moduli_are_those_of_the_elastic_energy(gap: float) -> None:
     rock = packed(0.165, count=1000)
     cement = replace(STRONG["parallel"], installation_gap=gap)
     found = elastic_moduli(rock, stiffness_ratio=2.5, friction=0.5, bonds=cement)
-    specimen = specimen_of(rock, 1.0, 2.5, 0.5, cement)
+    specimen = build_specimen(rock, 1.0, 2.5, 0.5, cement)
     grains, n = specimen.grains, len(rock.x)
     inside = np.max(np.abs([grains.x, grains.y]), axis=0) < specimen.box[1] - RIM
     every = contacts_of(specimen)._replace(walls=(np.empty(0, np.int64),) * 4)

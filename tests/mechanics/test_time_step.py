@@ -7,7 +7,7 @@ from scipy.sparse.linalg import eigsh
 
 from demflow.model.mechanics.loading.stress import load
 from demflow.model.mechanics.motion.equilibrium import Specimen
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.mechanics.static.load_carrying import contacts_of
 from demflow.model.mechanics.static.stiffness import matrix
 from demflow.model.scene import Bonds, Stress
@@ -48,7 +48,7 @@ def test_the_step_lies_below_the_critical_one(
         for of_bonds in (None, 0.1, 10.0):
             kinds.append(cement("parallel", modulus=modulus, stiffness_ratio=of_bonds))
     for bonds in kinds:
-        found = over_critical(specimen_of(rock, KN, ratio, 0.5, bonds))
+        found = over_critical(build_specimen(rock, KN, ratio, 0.5, bonds))
         assert 0.2 < found < 0.95, bonds
 
 

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
 from demflow.sweep.command.forecast import forecast
 from demflow.sweep.execution.memory import peak_memory
-from demflow.sweep.plan.graph import SIZE_STEP, Kind, grains, make_plan, stage_table
+from demflow.sweep.plan.graph import SIZE_STEP, CostClass, grains, make_plan, stage_table
 from demflow.sweep.store.costs import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
 from demflow.sweep.store.products import Store
 from tests.sweep import toys
 
 
-def kind(grains: float, stage: str = "flow", variant: str = "krylov") -> Kind:
-    return Kind(stage, 1, variant, round(math.log(grains) / SIZE_STEP))
+def kind(grains: float, stage: str = "flow", variant: str = "krylov") -> CostClass:
+    return CostClass(stage, 1, variant, round(math.log(grains) / SIZE_STEP))
 
 
 def measured(law, sizes, runs: int = 5) -> Costs:

@@ -16,11 +16,11 @@ from demflow.sweep.execution.schedule import (
     State,
     Tally,
 )
-from demflow.sweep.plan.graph import Kind, Plan, StageRun, stage_table
+from demflow.sweep.plan.graph import CostClass, Plan, StageRun, stage_table
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)[:3]
-KINDS = [Kind(stage.name, stage.version, "", 0) for stage in STAGES]
+KINDS = [CostClass(stage.name, stage.version, "", 0) for stage in STAGES]
 
 
 def tree(packs: int, flows: int, observers: int) -> Plan:

@@ -63,7 +63,7 @@ def run(path: Path, results: Path, **options: Any) -> engine.Finished:
     return engine.run_study(path, results=results, figures=False, table=TABLE, **options)
 
 
-def prepared(path: Path, results: Path) -> preparing.Prepared:
+def prepared(path: Path, results: Path) -> preparing.Project:
     """A study on the toy stages, its plan and its store."""
     return _prepare(path, results, table=TABLE)
 

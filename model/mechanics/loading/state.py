@@ -13,7 +13,7 @@ from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen import records
 from demflow.model.mechanics.specimen.records import Broken, Carried
 from demflow.model.mechanics.static.static import Found
-from demflow.model.mechanics.static.sticking import HeldTrial
+from demflow.model.mechanics.static.sticking import StickingTrial
 from demflow.model.products import Packing, StressState
 
 
@@ -52,7 +52,7 @@ def state_of(
 
 
 def held_state(
-    trial: HeldTrial, found: Found, packing: Packing, normal_stiffness: float
+    trial: StickingTrial, found: Found, packing: Packing, normal_stiffness: float
 ) -> StressState:
     """The state in which all cemented contacts hold."""
     units, count = trial.units, len(trial.normal)

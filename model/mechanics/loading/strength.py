@@ -30,7 +30,7 @@ from demflow.model.mechanics.motion.equilibrium import (
 )
 from demflow.model.mechanics.motion.servo import STANDING, TOO_STIFF, Servo
 from demflow.model.mechanics.specimen import measures, records
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StrengthTest
 from demflow.model.scene import Bonds, FailureTest, JointLine
@@ -95,7 +95,7 @@ def strength(
     """
     relieved = relieve(packing)
     unit, middle = float(packing.radius.mean()), _middle(relieved.box)
-    specimen = specimen_of(
+    specimen = build_specimen(
         relieved, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed
     )
     confining = max(test.confining_stress / normal_stiffness, LEAST_STRESS)
@@ -174,7 +174,7 @@ def relieve(packing: Packing) -> Packing:
     """
     if float(packing.packing_pressure) <= INSTALLED:
         return packing
-    specimen = specimen_of(packing, 1.0, 2.5, float(packing.packing_friction), None)
+    specimen = build_specimen(packing, 1.0, 2.5, float(packing.packing_friction), None)
     held = Servo(INSTALLED, INSTALLED, INSTALLED, INSTALLED)
     if specimen.relax(held, RELIEVED, damping=FIRE, steps=RELIEVING) != AT_REST:
         run = specimen.run

@@ -38,9 +38,9 @@ from demflow.model.mechanics.motion.equilibrium import (
     Stop,
 )
 from demflow.model.mechanics.motion.servo import TOO_STIFF, Servo, advanced, setpoint
-from demflow.model.mechanics.specimen.rock import cemented, scaled, specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen, cemented, scaled
 from demflow.model.mechanics.static import static
-from demflow.model.mechanics.static.sticking import HeldTrial
+from demflow.model.mechanics.static.sticking import StickingTrial
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StressState, UnitLoads
 from demflow.model.scene import Bonds, JointLine, Stress
@@ -63,7 +63,7 @@ def unit_loads(
 
     Parameters as for `load`; strengths and stiffness do not matter, k_n is the unit.
     """
-    specimen = specimen_of(packing, 1.0, stiffness_ratio, friction, bonds)
+    specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
     pressure = float(packing.packing_pressure)
     return static.response(specimen, np.array([pressure, pressure, 0.0]))
 
@@ -110,7 +110,7 @@ def load(
         if found.reached:
             return held_state(trial, found, packing, normal_stiffness)
         if not found.breaks:
-            specimen = specimen_of(*rock)
+            specimen = build_specimen(*rock)
             found = static.equilibrium(specimen, units, wanted, stress.tolerance)
             if found.reached:
                 return state_of(specimen, packing, normal_stiffness, found)
@@ -126,7 +126,7 @@ def load(
             f"finds it), but {why}; leave stress.angle out and turn fractures, wells and probes by "
             "minus the angle instead, or try stronger bonds or smaller stresses"
         )
-    specimen = specimen_of(*rock)
+    specimen = build_specimen(*rock)
     pressure = float(packing.packing_pressure)
     path = straight_path(pressure, float(wanted[0]), float(wanted[1]))
     ends = (path.start_xx, path.start_yy), (path.target_xx, path.target_yy)
@@ -152,7 +152,7 @@ def _held(
     friction: float,
     bonds: Bonds,
     seed: int,
-) -> HeldTrial:
+) -> StickingTrial:
     """The packed grains with their cement, to be displaced; parameters as for `load`."""
     _, x, y, radius, box, _ = scaled(packing)
     a, b = units.contact_a, units.contact_b
@@ -160,7 +160,7 @@ def _held(
         bonds, radius[a], radius[b], units.contact_distance, normal_stiffness, stiffness_ratio, seed
     )
     law = ContactLaw(1.0, 1.0 / stiffness_ratio, friction)
-    return HeldTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
+    return StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
 
 
 def straight_path(pressure: float, xx: float, yy: float) -> Servo:

@@ -13,8 +13,8 @@ from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.packing.cell import Cell
 from demflow.model.mechanics.packing.compaction import WALL_LAYER, Trial
 from demflow.model.mechanics.packing.lattices import CELL_AREA, lattice
+from demflow.model.mechanics.packing.packing_targets import Target, meet
 from demflow.model.mechanics.packing.sizes import sizes_of
-from demflow.model.mechanics.packing.targets import Target, meet
 from demflow.model.mechanics.packing.tiles import Tiled, bounds, tiled
 from demflow.model.mechanics.specimen import measures
 from demflow.model.products import Packing

@@ -49,7 +49,7 @@ def scaled(packing: Packing) -> Scaled:
     )
 
 
-def specimen_of(
+def build_specimen(
     packing: Packing,
     normal_stiffness: float,
     stiffness_ratio: float,

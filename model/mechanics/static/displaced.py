@@ -2,7 +2,7 @@
 
 The displacement u (3 n + 2,) holds each grain's u_x, u_y and rotation, then the outward way of
 the right and of the top wall; it is taken in one step. `Trial` adds the walls to what the
-contacts give; `TrueTrial` gives the contacts by the law of the explicit solver.
+contacts give; `FrictionalTrial` gives the contacts by the law of the explicit solver.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Trial(ABC):
         grains.y[free] = np.clip(grains.y[free], box[2] + r, box[3] - r)
 
 
-class TrueTrial(Trial):
+class FrictionalTrial(Trial):
     """By the law of the explicit solver: contacts open, close and slip; bonds hold at first."""
 
     def __init__(self, specimen: Specimen, units: UnitLoads):

@@ -9,7 +9,7 @@ from scipy.sparse import csc_array
 
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.motion.equilibrium import Specimen
-from demflow.model.mechanics.specimen.rock import specimen_of
+from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.mechanics.static.load_carrying import contacts_of
 from demflow.model.mechanics.static.stiffness import (
     ANCHOR,
@@ -45,7 +45,7 @@ def elastic_moduli(
     Grains within RIM of the walls follow the strain without rotation, the others find
     equilibrium. Stress is the mean over these, Σ f ⊗ l / 2 over their areas π r² / (1 − φ).
     """
-    specimen = specimen_of(packing, 1.0, stiffness_ratio, friction, bonds)
+    specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
     grains, box, n = specimen.grains, specimen.box, len(specimen.grains.x)
     none = np.empty(0, np.int64)
     contacts = contacts_of(specimen)._replace(walls=(none, none, none, none))

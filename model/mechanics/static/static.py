@@ -4,7 +4,7 @@ The stage *unit_loads* factors the stiffness of the packed, bonded grains once a
 for three unit loads: σ_xx, σ_yy and σ_xy. While no bond breaks, every stress state is their
 sum. What it lacks is solved for with the same factor: first by the law of contacts that hold
 (`held`: the geometry of the moved grains is all that is not linear there), and, where some
-would slip, open or close, by the *true* law of the explicit solver (`trial.TrueTrial`).
+would slip, open or close, by the *true* law of the explicit solver (`trial.FrictionalTrial`).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.sparse import csc_array, diags_array
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.motion.equilibrium import SKIN, Specimen
 from demflow.model.mechanics.specimen.measures import listed
-from demflow.model.mechanics.static.displaced import Trial, TrueTrial
+from demflow.model.mechanics.static.displaced import FrictionalTrial, Trial
 from demflow.model.mechanics.static.load_carrying import (
     at_walls,
     brakes,
@@ -25,7 +25,7 @@ from demflow.model.mechanics.static.load_carrying import (
     contacts_of,
     load_carrying,
 )
-from demflow.model.mechanics.static.sticking import HeldTrial
+from demflow.model.mechanics.static.sticking import StickingTrial
 from demflow.model.mechanics.static.stiffness import (
     ANCHOR,
     TOUCHING,
@@ -143,12 +143,12 @@ def response(specimen: Specimen, packed: Array) -> UnitLoads:
         lower=factor.lower,
         pivot=factor.pivot,
     )
-    base, trial = np.zeros(3 * n + 2), TrueTrial(specimen, units)
+    base, trial = np.zeros(3 * n + 2), FrictionalTrial(specimen, units)
     _, ratio = _correct(trial, units, base, packed, BASE_TOLERANCE, BASE_CORRECTIONS)
     return units._replace(base=base, base_ratio=np.array(ratio))
 
 
-def superpose(trial: HeldTrial, units: UnitLoads, wanted: Array, tolerance: float) -> Found:
+def superpose(trial: StickingTrial, units: UnitLoads, wanted: Array, tolerance: float) -> Found:
     """Bring grains to stresses by their unit loads while all their contacts hold.
 
     Parameters
@@ -185,7 +185,7 @@ def equilibrium(specimen: Specimen, units: UnitLoads, wanted: Array, tolerance: 
     Parameters as for `superpose`, but the tolerance holds by the true law, and the specimen is
     left in the state that was found, spoilt where none was.
     """
-    trial = TrueTrial(specimen, units)
+    trial = FrictionalTrial(specimen, units)
     elastic = Elastic(units, trial)
     u = elastic.superposed(wanted, wanted[2] * float(units.shear_strain))
     corrections, ratio = _correct(trial, units, u, wanted, tolerance, MOST_CORRECTIONS)
@@ -227,7 +227,7 @@ class Elastic:
 
 
 def _correct(
-    trial: TrueTrial, units: UnitLoads, u: Array, wanted: Array, tolerance: float, most: int
+    trial: FrictionalTrial, units: UnitLoads, u: Array, wanted: Array, tolerance: float, most: int
 ) -> tuple[int, float]:
     """Correct the displacement u in place until balance; returns corrections and the last ratio.
 

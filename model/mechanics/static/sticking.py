@@ -21,7 +21,7 @@ from demflow.model.products import UnitLoads
 NO_LOADS_NO_WALLS = (0.0,) * 6 + (0,) * 4  # of `Sums`
 
 
-class HeldTrial(Trial):
+class StickingTrial(Trial):
     """Displaced grains whose cemented contacts hold."""
 
     def __init__(
