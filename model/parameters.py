@@ -8,16 +8,19 @@ messages, and gives editors their schema, so that a bound is written once.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import MISSING, Field, field, fields
 from numbers import Real
 from typing import Any
+
+Problem = tuple[str, str]  # path of a parameter inside the scene, what is wrong with it
+Problems = Iterator[Problem]
 
 
 class SceneError(ValueError):
     """A scene that cannot be. `problems` lists (path of the parameter, what is wrong)."""
 
-    def __init__(self, problems: list[tuple[str, str]]):
+    def __init__(self, problems: list[Problem]):
         self.problems = problems
         super().__init__("; ".join(f"{path}: {what}" if path else what for path, what in problems))
 

@@ -307,3 +307,18 @@ def test_every_parameter_says_what_it_is():
 )
 def test_what_cannot_act_is_refused(changed, path):
     assert path in problems(lambda: good(**changed))
+
+
+@pytest.mark.parametrize("angle", [0.1, 2.0])
+def test_joints_under_a_stress_off_the_walls_are_refused_before_anything_runs(angle):
+    """Only the static solver loads rock at an angle, and it knows no joints."""
+    joint = parts.Joint(normal_stiffness=1e11, shear_stiffness=1e11, friction=0.5)
+    jointed = {
+        "grains": Grains(**GOOD[Grains]),
+        "bonds": Bonds(**GOOD[Bonds]),
+        "fractures": (Trace(**{**GOOD[Trace], "joint": joint}),),
+    }
+    along = Stress(2e7, 1e7, angle=0.5 * math.pi)
+    assert good(**jointed, stress=along).stress is along
+    assert "stress.angle" in problems(lambda: good(**jointed, stress=Stress(2e7, 1e7, angle)))
+    assert good(**{**jointed, "fractures": ()}, stress=Stress(2e7, 1e7, angle)).stress

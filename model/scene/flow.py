@@ -5,9 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from demflow.model.parameters import SceneError, check_fields, parameter
+import numpy as np
 
-__all__ = ["LEAST_TOLERANCE", "Fluid", "InitialField", "Matrix", "Probe", "Solver", "Well"]
+from demflow.model.parameters import Problems, SceneError, check_fields, parameter
+from demflow.model.region import Region, contains, distance_to_rim
+
+__all__ = [
+    "LEAST_TOLERANCE",
+    "Boundary",
+    "Fluid",
+    "InitialField",
+    "Matrix",
+    "Probe",
+    "Solver",
+    "Well",
+    "boundary_problems",
+    "probe_problems",
+    "time_problems",
+    "well_problems",
+]
+
+Boundary = tuple[str, float]  # name of a side and the pressure that it keeps, Pa
 
 # Round-off of the factor and the projection leaves some thirteen digits.
 LEAST_TOLERANCE = 1e-12
@@ -172,3 +190,51 @@ class Solver:
         if self.step == "paper" and self.method != "explicit":
             what = f"paper is a step of method explicit, not of {self.method}; ask for explicit, or"
             raise SceneError([("step", f"{what} leave the step out")])
+
+
+def well_problems(wells: tuple[Well, ...], region: Region) -> Problems:
+    """What is wrong with where wells stand."""
+    for number, well in enumerate(wells):
+        path, at = f"wells.{well.name}", np.array([well.at])
+        if not contains(region, at)[0]:
+            yield f"{path}.at", "the well lies outside the region"
+        elif (room := distance_to_rim(region, at)[0]) < well.effective_radius:
+            stimulated = well.radius <= room
+            what = f"the well reaches beyond the rim, which is {room:.3g} m away"
+            if stimulated:
+                what = f"with the radius r_w e^(−S) = {well.effective_radius:.3g} m {what}"
+            yield f"{path}.{'skin_factor' if stimulated else 'radius'}", what
+        for other in wells[:number]:
+            if math.dist(well.at, other.at) < well.effective_radius + other.effective_radius:
+                yield f"{path}.at", f"the well overlaps {other.name}"
+
+
+def probe_problems(probes: tuple[Probe, ...], region: Region) -> Problems:
+    """What is wrong with where probes lie."""
+    within = contains(region, np.array([probe.at for probe in probes]).reshape(-1, 2))
+    for probe, is_within in zip(probes, within, strict=True):
+        if not is_within:
+            yield f"probes.{probe.name}.at", "the probe lies outside the region"
+
+
+def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Problems:
+    """What is wrong with the pressures that sides keep."""
+    sides = {*region.sides, "outer"}
+    for name, pressure in boundaries:
+        if name not in sides:
+            known = ", ".join(sorted(sides))
+            yield f"boundaries.{name}", f"the region has no such side, only {known}"
+        if not math.isfinite(pressure):
+            yield f"boundaries.{name}", "the pressure is not a finite number"
+    if len(boundaries) > 1 and any(name == "outer" for name, _ in boundaries):
+        yield "boundaries.outer", "outer names every side; name no other beside it"
+
+
+def time_problems(times: tuple[float, ...]) -> Problems:
+    """What is wrong with the output times by themselves."""
+    if times and times[0] <= 0:
+        yield "times", "times must be positive"
+    if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+        yield "times", "times must increase"
+    if not all(math.isfinite(t) for t in times):
+        yield "times", "times must be finite"

@@ -5,9 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from demflow.model.parameters import SceneError, check_fields, parameter
+from demflow.model.parameters import Problems, SceneError, check_fields, parameter
+from demflow.model.region import Region, clip_segment
+from demflow.model.scene.rock import FailureTest, Stress
 
-__all__ = ["BiWing", "Fracture", "FractureSet", "Joint", "Trace"]
+__all__ = [
+    "BiWing",
+    "Fracture",
+    "FractureSet",
+    "Joint",
+    "Trace",
+    "fracture_problems",
+    "joint_problems",
+]
+
+# Traces that one set may have: beyond, its spacing is a slip of the unit.
+MOST_TRACES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,3 +165,36 @@ class Trace(_FractureProperties):
 
 
 Fracture = BiWing | FractureSet | Trace
+
+
+def fracture_problems(fractures: tuple[Fracture, ...], region: Region) -> Problems:
+    """What is wrong with where fractures lie."""
+    for fracture in fractures:
+        path = f"fractures.{fracture.name}"
+        if isinstance(fracture, FractureSet):
+            gap = fracture.spacing if fracture.gap is None else fracture.gap
+            count = region.area / (fracture.spacing * (fracture.length + gap))
+            if count > MOST_TRACES:
+                what = f"about {count:.2g} fractures in the region, more than {MOST_TRACES}"
+                yield f"{path}.spacing", what
+        elif not clip_segment(region, *fracture.ends):
+            key = "at" if isinstance(fracture, BiWing) else "from"
+            yield f"{path}.{key}", "the fracture lies outside the region"
+
+
+def joint_problems(
+    fractures: tuple[Fracture, ...], stress: Stress | None, test: FailureTest | None
+) -> Problems:
+    """What is wrong with joints and the loads on them, taken together."""
+    joints = [fracture for fracture in fractures if fracture.joint is not None]
+    if stress is None and test is None:
+        what = "a joint acts only where the scene names a stress or a test"
+        yield from ((f"fractures.{fracture.name}.joint", what) for fracture in joints)
+    if not joints or stress is None:
+        return
+    if stress.method == "static":
+        yield "stress.method", "static knows no joints; take explicit or auto"
+    if abs(stress.components[2]) > 0.0:
+        what = "rock with joints is loaded along the axes only; leave the angle out and turn "
+        what += "fractures, wells and probes by minus the angle instead"
+        yield "stress.angle", what

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from demflow.model.parameters import SceneError, check_fields, parameter
+from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 
-__all__ = ["Bonds", "FailureTest", "Grains", "Stress"]
+__all__ = ["Bonds", "FailureTest", "Grains", "Stress", "loading_problems"]
 
+LATTICES = ("square", "hexagonal")
 # What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
 LEAST_POROSITY, GREATEST_POROSITY = 0.135, 0.22
@@ -112,7 +113,7 @@ class Grains:
         """What is wrong with the targets of the packing."""
         names = ("porosity", "packing_stress", "packing_friction")
         given = [name for name in names if getattr(self, name) is not None]
-        if self.packing in ("square", "hexagonal"):
+        if self.packing in LATTICES:
             what = f"a {self.packing} packing has a porosity of its own, and no stress or friction"
             return [(name, what) for name in given]
         problems = []
@@ -273,3 +274,35 @@ class FailureTest:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+def loading_problems(
+    grains: Grains, bonds: Bonds | None, stress: Stress | None, test: FailureTest | None
+) -> Problems:
+    """What is wrong with a rock and the loads on it, taken together."""
+    if (stress or test) is not None and grains.contact_stiffness is None:
+        yield "grains.modulus", "a stress needs modulus or normal_stiffness"
+    for name, load in (("stress", stress), ("test", test)):
+        if load is not None and grains.packing == "periodic":
+            what = f"a periodic packing has no walls for a {name}; take grains.packing: random"
+            yield name, what
+    if bonds is not None:
+        if stress is None and test is None:
+            yield "bonds", "bonds act only where the scene names a stress or a test"
+        return
+    if test is not None and test.kind == "tension":
+        yield "test.kind", "unbonded grains bear no tension; add bonds"
+    if stress is not None:
+        yield from _unbonded_problems(grains, stress)
+
+
+def _unbonded_problems(grains: Grains, stress: Stress) -> Problems:
+    """What is wrong with a stress on grains without cement."""
+    if grains.packing in LATTICES:
+        yield "stress", f"an unbonded {grains.packing} lattice cannot be loaded; add bonds"
+    if stress.method == "static":
+        yield "stress.method", "static solves bonded grains; add bonds, or take explicit"
+    if abs(stress.components[2]) > 0.0:
+        what = "unbonded grains are loaded along the axes only; leave the angle out and turn "
+        what += "fractures, wells and probes by minus the angle instead, or add bonds"
+        yield "stress.angle", what
