@@ -162,7 +162,10 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
             if not stage.wanted(scene):
                 continue
             parents = tuple(int(own[p]) for p in parent_rows[k])
-            parent_ids = [runs[p].id if p >= 0 else None for p in parents]
+            parent_ids = {
+                name: runs[p].id if p >= 0 else None
+                for name, p in zip(stage.parents, parents, strict=True)
+            }
             identity = product_id(stage.name, stage.version, readers[k](scene), parent_ids)
             run = index.setdefault(identity, len(runs))
             if run == len(runs):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import Enum
 from typing import Any
@@ -60,21 +60,30 @@ def encode(value: Any) -> bytes:
 
 
 def product_id(
-    stage: str, version: int, reads: Mapping[str, bytes], parents: Sequence[str | None]
+    stage: str, version: int, reads: Mapping[str, bytes], parents: Mapping[str, str | None]
 ) -> str:
     """Return the identity of a stage's product, 64 hexadecimal digits (SHA-256).
+
+    A parent that is not run and a part that the scene has not got (None) are left out, as fields
+    of a dataclass are: what a stage may take one day leaves alone the identities of all that was
+    made without it.
 
     Parameters
     ----------
     stage, version : the row of the table.
-    reads : canonical bytes (`encode`) of each part of the scene that the stage reads.
-    parents : identities of the parents in the order of the table, None where not run.
+    reads : canonical bytes (`encode`) of each part of the scene that the stage reads, by name.
+    parents : identities of the products that it takes, by the names of their stages.
     """
-    digest = hashlib.sha256(encode((stage, version, tuple(parents))))
+    taken = {name: parent for name, parent in parents.items() if parent is not None}
+    digest = hashlib.sha256(encode((stage, version, taken)))
     for name in sorted(reads):
-        digest.update(encode(name) + _tagged(b"v", reads[name]))
+        if reads[name] != _NOTHING:
+            digest.update(encode(name) + _tagged(b"v", reads[name]))
     return digest.hexdigest()
 
 
 def _tagged(tag: bytes, content: bytes) -> bytes:
     return tag + struct.pack("<Q", len(content)) + content
+
+
+_NOTHING = encode(None)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from demflow.sweep.plan.graph import Plan, make_plan, stage_table
 from demflow.sweep.prepared import planned
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study, load_study
+from demflow.sweep.study.scenes import SceneBuilder
 from tests.sweep import toys
 from tests.sweep.study_text import EXAMPLE
 
@@ -182,6 +185,36 @@ def test_the_dataset_grows_with_the_study(tmp_path):
         np.testing.assert_array_equal(
             grown[name].sel(seed=before.seed, rate=before.rate), before[name]
         )
+
+
+SHIPPED = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
+
+
+@pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
+def test_what_no_scene_wants_changes_no_identity(path):
+    """A stage that the table gets, a parent of others, and a part that no scene has."""
+    shipped = load_study(path, smoke=True)
+    idle = dataclasses.replace(STAGES[0], name="idle", wanted=lambda scene: False)
+    grown = [
+        dataclasses.replace(
+            stage,
+            parents=("idle", *stage.parents),
+            reads={"absent": lambda scene: None, **stage.reads},
+        )
+        for stage in STAGES
+    ]
+    before = make_plan(_scenes(shipped), STAGES)
+    after = make_plan(_scenes(shipped), (idle, *grown))
+    assert [run.id for run in after.runs] == [run.id for run in before.runs]
+
+
+def _scenes(shipped: Study) -> Iterator[Scene | SceneError]:
+    builder = SceneBuilder(shipped.values, shipped.axes)
+    for place in itertools.islice(itertools.product(*map(range, shipped.shape)), 100):
+        try:
+            yield builder.scene(place)
+        except SceneError as error:
+            yield error
 
 
 # Every declared parameter in turn.

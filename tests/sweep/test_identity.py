@@ -86,30 +86,46 @@ def test_what_has_no_content_is_refused(value):
 
 
 def test_every_part_counts():
-    base = ("flow", 1, {"a": encode(1)}, ("p", None))
+    base = ("flow", 1, {"a": encode(1)}, {"p": "x"})
     changed = [
-        ("flux", 1, {"a": encode(1)}, ("p", None)),
-        ("flow", 2, {"a": encode(1)}, ("p", None)),
-        ("flow", 1, {"a": encode(2)}, ("p", None)),
-        ("flow", 1, {"b": encode(1)}, ("p", None)),
-        ("flow", 1, {"a": encode(1), "b": encode(1)}, ("p", None)),
-        ("flow", 1, {"a": encode(1)}, (None, "p")),
-        ("flow", 1, {"a": encode(1)}, ("p",)),
+        ("flux", 1, {"a": encode(1)}, {"p": "x"}),
+        ("flow", 2, {"a": encode(1)}, {"p": "x"}),
+        ("flow", 1, {"a": encode(2)}, {"p": "x"}),
+        ("flow", 1, {"b": encode(1)}, {"p": "x"}),
+        ("flow", 1, {"a": encode(1), "b": encode(1)}, {"p": "x"}),
+        ("flow", 1, {}, {"p": "x"}),
+        ("flow", 1, {"a": encode((None,))}, {"p": "x"}),
+        ("flow", 1, {"a": encode(1)}, {"q": "x"}),
+        ("flow", 1, {"a": encode(1)}, {"p": "y"}),
+        ("flow", 1, {"a": encode(1)}, {"p": "x", "q": "x"}),
+        ("flow", 1, {"a": encode(1)}, {}),
     ]
     assert len({product_id(*parts) for parts in (base, *changed)}) == len(changed) + 1
-    swapped = {"y": encode(1), "x": encode(2)}
-    assert product_id("s", 1, swapped, ()) == product_id(
-        "s", 1, dict(reversed(swapped.items())), ()
-    )
+
+
+@given(st.permutations(["x", "y", "z"]))
+def test_no_order_counts(names):
+    number = {"x": 1, "y": 2, "z": 3}
+    reads = {name: encode(number[name]) for name in names}
+    parents = {name: f"made by {name}" for name in names}
+    ordered = {name: reads[name] for name in number}, {name: parents[name] for name in number}
+    assert product_id("s", 1, reads, parents) == product_id("s", 1, *ordered)
+
+
+def test_what_is_not_there_does_not_count():
+    """A stage may be given more one day: nothing that was made without it changes."""
+    before = product_id("flow", 1, {"a": encode(1)}, {"p": "x"})
+    after = product_id("flow", 1, {"a": encode(1), "b": encode(None)}, {"p": "x", "q": None})
+    assert before == after
 
 
 def test_identities_are_the_same_in_every_process():
     code = (
-        "from model.scene import *\n"
-        "from sweep.plan.identity import encode, product_id\n"
+        "from demflow.model.scene import *\n"
+        "from demflow.sweep.plan.identity import encode, product_id\n"
         "grains = Grains(count=7, porosity=0.17)\n"
         "value = (grains, Circle(2.0), {'b': 1, 'a': (0.1, None, 'x')})\n"
-        "print(product_id('pack', 1, {'v': encode(value)}, ('p', None)))\n"
+        "print(product_id('pack', 1, {'v': encode(value)}, {'p': 'q', 'r': None}))\n"
     )
     printed = {
         subprocess.run(
