@@ -1,13 +1,11 @@
-"""How much: the part of a scene that scales unit responses, and how they add up to it."""
+"""How much: the part of a scene that scales unit responses, and the steps of each source."""
 
 from __future__ import annotations
 
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from demflow.model.flow.equation.sites import WellSite, time_since
+from demflow.model.flow.equation.sites import WellSite
 from demflow.model.scene import InitialField, Scene, Well
 
 
@@ -54,7 +52,7 @@ def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
     )
 
 
-def controls(scene: Scene) -> Controls:
+def controls_of(scene: Scene) -> Controls:
     """The controls of a scene."""
     transient = scene.method != "steady"
     uniform = scene.uniform_pressure
@@ -81,49 +79,21 @@ def controls(scene: Scene) -> Controls:
 
 def active_sources(scene: Scene) -> tuple[bool, ...]:
     """Which sources act at all, in their order, as the stage `flow` takes them."""
-    told = controls(scene)
-    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in told.wells if w.pressure is None]
-    fields = [g != 0.0 for g in told.gradient] if told.start == "gradient" else []
-    return (*(p != told.reference for p in told.fixed_pressures), *rates, *fields)
+    controls = controls_of(scene)
+    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in controls.wells if w.pressure is None]
+    fields = [g != 0.0 for g in controls.gradient] if controls.start == "gradient" else []
+    return (*(p != controls.reference for p in controls.fixed_pressures), *rates, *fields)
 
 
-def step_sizes(told: Controls) -> list[list[tuple[float, float]]]:
+def step_sizes(controls: Controls) -> list[list[tuple[float, float]]]:
     """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
-    steps = [[(0.0, pressure - told.reference)] for pressure in told.fixed_pressures]
-    if told.start == "steady":  # they have acted for ever
+    steps = [[(0.0, pressure - controls.reference)] for pressure in controls.fixed_pressures]
+    if controls.start == "steady":  # they have acted for ever
         steps = [[] for _ in steps]
-    for well in told.wells:
+    for well in controls.wells:
         if well.pressure is None:
             rates = [0.0, *(q for _, q in well.rate_changes)]
             steps.append(
                 [(t, new - old) for (t, new), old in zip(well.rate_changes, rates, strict=False)]
             )
     return steps
-
-
-def superpose(
-    responses: np.ndarray, lag: np.ndarray, steps: list[list[tuple[float, float]]], at: np.ndarray
-) -> np.ndarray:
-    """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
-
-    A step acts after its time, not at it. At infinity (a steady study) every step acts.
-    """
-    total = np.zeros((len(at), *responses.shape[2:]))
-    for source, changes in enumerate(steps):
-        for time, size in changes:
-            if size == 0.0:
-                continue
-            since = time_since(time, at) if math.isfinite(at[0]) else at
-            acts = since > 0.0
-            total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
-    return total
-
-
-def started(
-    fields: np.ndarray, lag: np.ndarray, weights: tuple[float, ...], at: np.ndarray
-) -> np.ndarray | float:
-    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …)."""
-    total: np.ndarray | float = 0.0
-    for field, weight in zip(fields, weights, strict=True):
-        total = total + weight * (field if len(field) == 1 else field[np.searchsorted(lag, at)])
-    return total

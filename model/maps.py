@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from demflow.model.controls import controls
-from demflow.model.observe import pressure_map
+from demflow.model.controls import controls_of
+from demflow.model.history import superposed_map
 from demflow.model.products import Apertures, Network, Packing, StressState
 from demflow.model.quantities import MAPS, TESTS
 from demflow.model.scene import Scene
@@ -52,9 +52,9 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         **_mesh(net, domain),
     }
     if "pressure_map" in scene.observe:
-        told = controls(scene)
-        pressure = pressure_map(products["flow"], told)
-        maps["pressure"] = pressure if told.transient else pressure[0]
+        controls = controls_of(scene)
+        pressure = superposed_map(products["flow"], controls)
+        maps["pressure"] = pressure if controls.transient else pressure[0]
     if "grain_map" in scene.observe:
         state: StressState | None = products.get("stress")
         packing: Packing = products["pack"]

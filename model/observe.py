@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from demflow.model.controls import Controls, sites, started, step_sizes, superpose
-from demflow.model.flow.equation.sites import change_times, time_since
-from demflow.model.flow.solvers.time_error import time_error
+from demflow.model.controls import Controls
+from demflow.model.history import History, Volumes, superposed, superposed_error
 from demflow.model.products import (
     Apertures,
     Network,
@@ -22,6 +19,7 @@ from demflow.model.region import Region, contains
 from demflow.model.scene import MEASURED_BY_A_TEST
 from demflow.model.transient import bourdet_derivative, flow_periods, pressure_change
 
+IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
 CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
 
 
@@ -36,7 +34,7 @@ def observe(
     reference: Responses | None,
     *,
     region: Region,
-    told: Controls,
+    controls: Controls,
     wanted: tuple[str, ...],
 ) -> dict[str, np.ndarray]:
     """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
@@ -76,7 +74,7 @@ def observe(
     if permeability is not None:
         found["permeability"] = permeability.tensor
     if responses is not None:
-        found |= observe_flow(responses, told)
+        found |= observe_flow(superposed(responses, controls), controls)
         for name, needs in (
             ("well_pressure", ("well_pressure", "well_rate")),
             ("well_pressure", ("pressure_change", "pressure_derivative")),
@@ -87,17 +85,8 @@ def observe(
                 for key in needs:
                     found.pop(key, None)
     if responses is not None and reference is not None:
-        found["reference_error"] = reference.time_error
-        held = sum(well.pressure is not None for well in told.wells)
-        found["time_error"] = np.asarray(
-            time_error(
-                responses,
-                reference,
-                fixed=len(told.side_pressures) + held,
-                wells=len(told.wells) - held,
-                flows="boundary_flow" in wanted or held > 0,
-            )
-        )
+        flows = "boundary_flow" in wanted
+        found |= superposed_error(responses, reference, controls, flows=flows)
     return {name: np.asarray(value) for name, value in found.items()}
 
 
@@ -116,147 +105,34 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
     return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
 
 
-def observe_flow(responses: Responses, told: Controls) -> dict[str, np.ndarray]:
+def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     """Well pressures and rates, boundary flows, probes and the balance of one case.
 
     A steady study has no time dimension.
     """
-    steps = step_sizes(told)
-    changes = change_times(sites(told.wells))
-    times = np.asarray(told.times) if told.transient else np.array([math.inf])
-    output = _output(responses, told, steps, times)
-    rate_wells = [k for k, w in enumerate(told.wells) if w.pressure is None]
-    pressure_wells = [k for k, w in enumerate(told.wells) if w.pressure is not None]
-    sides, wells = len(told.side_pressures), len(told.wells)
-
-    pressure = np.empty((wells, len(times)))
-    rate = np.empty((wells, len(times)))
-    pressure[rate_wells] = told.reference + output[:, : len(rate_wells)].T
-    for k in pressure_wells:
-        pressure[k] = told.wells[k].pressure
-    flows = output[:, len(rate_wells) : len(rate_wells) + sides + len(pressure_wells)].T
-    rate[pressure_wells] = -flows[sides:]
-    for k in rate_wells:
-        starts = np.array([t for t, _ in told.wells[k].rate_changes])
-        rates = np.array([0.0, *(q for _, q in told.wells[k].rate_changes)])
-        # the rate that led to the pressure at a time: a change acts after its time
-        acted = time_since(starts[:, None], times[None, :]) > 0.0
-        rate[k] = rates[np.count_nonzero(acted, axis=0)]
-    probes = told.reference + output[:, len(rate_wells) + sides + len(pressure_wells) :].T
-    probes[~responses.probe_reached] = told.initial
-    found = {
-        "well_pressure": pressure,
-        "well_rate": rate,
-        "boundary_flow": flows[:sides],
-        "probe_pressure": probes,
-        "mass_balance_error": np.asarray(_imbalance(responses, told, steps, times, rate, flows)),
-        "residual": responses.residual,
-        "range_error": np.asarray(_out_of_range(responses, told)),
-        "estimated_error": responses.time_error,
-        "tolerance_met": responses.tolerance_met,
-        "isolated_domains": responses.isolated,
-        "solver_used": responses.solver,
-        "solver_reason": responses.solver_reason,
-    }
-    if not told.transient:
-        for name in ("well_pressure", "well_rate", "boundary_flow", "probe_pressure"):
-            found[name] = found[name][:, 0]
-        return found
-    at_changes = _output(responses, told, steps, changes)
-    change = np.full_like(pressure, np.nan)
-    derivative = np.full_like(pressure, np.nan)
-    for order, k in enumerate(rate_wells):
-        starts, sign = flow_periods(told.wells[k].rate_changes)
-        before = told.reference + at_changes[np.searchsorted(changes, starts), order]
-        change[k] = pressure_change(times, pressure[k], starts, before, sign)
-        derivative[k] = bourdet_derivative(times, change[k], starts)
-    found["pressure_change"] = change
-    found["pressure_derivative"] = derivative
-    return found
+    found = {name: getattr(history, name) for name in IN_TIME}
+    if not controls.transient:
+        found = {name: array[:, 0] for name, array in found.items()}
+    found["mass_balance_error"] = np.asarray(_imbalance(history.volumes))
+    found |= history.solved._asdict()
+    return found | _changes(history, controls) if controls.transient else found
 
 
-def pressure_map(responses: Responses, told: Controls) -> np.ndarray:
-    """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study.
-
-    Domains that no source reaches keep the initial pressure; NaN where none is given.
-    """
-    times = np.asarray(told.times) if told.transient else np.array([math.inf])
-    change = superpose(responses.pressure, responses.lag, step_sizes(told), times)
-    change += started(responses.initial_pressure, responses.lag, told.initial_weights, times)
-    return np.where(responses.reached, told.reference + change, told.initial)
-
-
-def _output(
-    responses: Responses, told: Controls, steps: list[list[tuple[float, float]]], at: np.ndarray
-) -> np.ndarray:
-    """Recorded outputs (t, o): what the start left and what the steps did."""
-    changes = superpose(responses.output, responses.lag, steps, at)
-    return changes + started(responses.initial_output, responses.lag, told.initial_weights, at)
+def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:
+    """Pressure changes since the last change of each well's rate, and their derivatives."""
+    times, pressure = history.times, history.well_pressure
+    change, derivative = np.full_like(pressure, np.nan), np.full_like(pressure, np.nan)
+    for k, well in enumerate(controls.wells):
+        if well.pressure is None:
+            starts, sign = flow_periods(well.rate_changes)
+            before = history.pressure_at_changes[k, np.searchsorted(history.change_times, starts)]
+            change[k] = pressure_change(times, pressure[k], starts, before, sign)
+            derivative[k] = bourdet_derivative(times, change[k], starts)
+    return {"pressure_change": change, "pressure_derivative": derivative}
 
 
-def _imbalance(
-    responses: Responses,
-    told: Controls,
-    steps: list[list[tuple[float, float]]],
-    times: np.ndarray,
-    rate: np.ndarray,
-    flows: np.ndarray,
-) -> float:
-    """Largest imbalance over the volume moved: in time, or of the steady rates."""
-    fixed_wells = sum(w.pressure is not None for w in told.wells)
-    if not told.transient:
-        produced = np.array([rate[k, 0] for k, w in enumerate(told.wells) if w.pressure is None])
-        moved = np.abs(flows).sum() + np.abs(produced).sum()
-        return float(abs(flows.sum() - produced.sum()) / moved) if moved != 0.0 else 0.0
-    volumes = superpose(responses.cumulative, responses.lag, steps, times)
-    volumes += started(responses.initial_cumulative, responses.lag, told.initial_weights, times)
-    let_in, stored = volumes[:, :-1], volumes[:, -1]
-    produced = np.zeros(len(times))
-    moved = np.abs(let_in).sum(axis=1) + np.abs(stored)
-    moved += np.abs(told.initial_weights) @ responses.initial_volume
-    for source_steps in steps[len(told.side_pressures) + fixed_wells :]:
-        for time, size in source_steps:
-            volume = size * np.maximum(times - time, 0.0)
-            produced += volume
-            moved += np.abs(volume)
-    error = np.abs(stored - let_in.sum(axis=1) + produced)
-    counts = moved != 0.0  # what is not a number counts
-    return float(np.max(error[counts] / moved[counts], initial=0.0))
-
-
-def _out_of_range(responses: Responses, told: Controls) -> float:
-    """Largest excursion of the recorded unit responses from the range of the maximum principle.
-
-    A fixed pressure that rises by 1 Pa keeps every pressure between 0 and 1 Pa, lets fluid in,
-    and none in elsewhere. A well that produces 1 m³/s raises no pressure and draws between 0
-    and 1 m³/s from each fixed one. Flows count over the largest of the source, and pressures
-    by a well likewise. A start in the steady state of fixed pressures has their ranges.
-    """
-    fixed = len(told.fixed_pressures)
-    wells = len(told.wells) - (fixed - len(told.side_pressures))
-    responded = [(k, responses.output[k], responses.pressure[k]) for k in range(fixed + wells)]
-    if told.start == "steady":
-        initial = zip(responses.initial_output, responses.initial_pressure, strict=True)
-        responded += [(k, output, field) for k, (output, field) in enumerate(initial)]
-    worst = [0.0]
-    for source, output, field in responded:
-        low, high = _extremes(output[:, :wells], output[:, wells + fixed :], field)
-        flows = output[:, wells : wells + fixed]
-        if source < fixed:
-            worst += [-low, high - 1.0]
-            low, _ = _extremes(flows[:, source])
-            _, high = _extremes(np.delete(flows, source, axis=1))
-            if (size := np.abs(flows).max(initial=0.0)) != 0.0:
-                worst += [-low / size, high / size]
-        else:
-            if (size := np.max([-low, high])) != 0.0:
-                worst.append(high / size)
-            low, high = _extremes(flows)
-            worst += [-low, high - 1.0]
-    return abs(float(np.max(worst)))
-
-
-def _extremes(*values: np.ndarray) -> tuple[float, float]:
-    """Least and largest of arrays and of zero; what is not a number stays."""
-    least = np.min([np.min(v, initial=0.0) for v in values])
-    return float(least), float(np.max([np.max(v, initial=0.0) for v in values]))
+def _imbalance(volumes: Volumes) -> float:
+    """Largest imbalance over the volume moved."""
+    error = np.abs(volumes.stored - volumes.let_in.sum(axis=1) + volumes.produced)
+    counts = volumes.moved != 0.0  # what is not a number counts
+    return float(np.max(error[counts] / volumes.moved[counts], initial=0.0))

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from demflow.model.controls import active_sources, controls, sites
+from demflow.model.controls import active_sources, controls_of, sites
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from demflow.model.products import (
     Apertures,
@@ -121,7 +121,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "sides": lambda s: tuple(name for name, _ in s.boundaries),
     "active": active_sources,
     "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
-    "times": lambda s: controls(s).times,
+    "times": lambda s: controls_of(s).times,
     "method": lambda s: s.method,
     "tolerance": lambda s: s.solver.tolerance,
     "safety_factor": lambda s: s.solver.safety_factor,
@@ -275,7 +275,7 @@ STAGES: tuple[Stage, ...] = (
         parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
         reads={
             "region": lambda s: s.region,
-            "told": controls,
+            "controls": controls_of,
             "wanted": lambda s: s.observe,
         },
         wanted=_always,

@@ -10,6 +10,7 @@ from demflow.model.controls import Controls, sites
 from demflow.model.flow.equation.sites import WellSite
 from demflow.model.flow.equation.system import System, assemble
 from demflow.model.flow.solvers.registry import flow
+from demflow.model.history import superposed
 from demflow.model.network.apertures import open_pipes
 from demflow.model.network.domains import network
 from demflow.model.observe import observe_flow
@@ -78,7 +79,7 @@ class Reservoir(NamedTuple):
         """What a study would see; steady where no times are given."""
         sides = tuple(name for name, _ in boundaries)
         responses = self.respond(wells, sides, times, **solver)
-        told = Controls(
+        controls = Controls(
             reference=initial_pressure,
             initial=initial_pressure,
             side_pressures=tuple(p for _, p in boundaries),
@@ -86,7 +87,7 @@ class Reservoir(NamedTuple):
             times=tuple(float(t) for t in times),
             transient=bool(times),
         )
-        return observe_flow(responses, told)
+        return observe_flow(superposed(responses, controls), controls)
 
 
 def reservoir(

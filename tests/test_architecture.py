@@ -31,8 +31,8 @@ MODEL = (
     ("model.flow.equation",),
     ("model.flow.solvers",),
     ("model.permeability", "model.controls"),
-    ("model.observe",),
-    ("model.maps",),
+    ("model.history",),
+    ("model.observe", "model.maps"),
     ("model.stages",),
 )
 # The study and its cases are read without the model's machinery; what runs comes after, and

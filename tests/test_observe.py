@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from demflow.model.controls import Controls, controls, sites, step_sizes, superpose
+from demflow.model.controls import Controls, controls_of, sites, step_sizes
 from demflow.model.flow.solvers.explicit import step_limit
+from demflow.model.history import superpose, superposed
 from demflow.model.observe import observe_flow
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import Fluid, Grains, Matrix, Probe, Scene, Solver, Well
@@ -87,8 +88,8 @@ def test_rate_and_pressure_are_two_views_of_one_steady_state():
 @settings(max_examples=20)
 def test_pressure_is_linear_in_the_rate_whatever_the_start(rate, start):
     responses = RESPONSES
-    told = Controls(start, start, (start,), (producer(rate=rate),), TIMES, True)
-    seen = observe_flow(responses, told)
+    controls = Controls(start, start, (start,), (producer(rate=rate),), TIMES, True)
+    seen = observe_flow(superposed(responses, controls), controls)
     expected = start + rate * responses.output[1, 1:, 0]
     np.testing.assert_allclose(seen["well_pressure"][0], expected, rtol=1e-12)
 
@@ -170,19 +171,19 @@ def scene(**more):
 
 
 def test_changes_count_from_the_start_or_from_a_fixed_pressure():
-    assert controls(scene()).reference == 7e6
-    assert controls(scene(times=(), initial_pressure=None)).reference == 5e6
-    assert controls(scene(times=())).times == ()
-    told = controls(scene(times=(), solver=Solver(method="steady")))
-    assert not told.transient
-    assert told.times == ()
+    assert controls_of(scene()).reference == 7e6
+    assert controls_of(scene(times=(), initial_pressure=None)).reference == 5e6
+    assert controls_of(scene(times=())).times == ()
+    controls = controls_of(scene(times=(), solver=Solver(method="steady")))
+    assert not controls.transient
+    assert controls.times == ()
 
 
 def test_sizes_of_steps_follow_the_order_of_the_sources():
     held = Well(name="h", at=(5.0, 5.0), radius=0.5, pressure=6e6)
     scheduled = Well(name="s", at=(-5.0, 5.0), radius=0.5, schedule=((2.0, 3.0), (4.0, 1.0)))
-    told = controls(scene(wells=(producer(), held, scheduled)))
-    assert step_sizes(told) == [
+    controls = controls_of(scene(wells=(producer(), held, scheduled)))
+    assert step_sizes(controls) == [
         [(0.0, -2e6)],
         [(0.0, -1e6)],
         [(0.0, 2e-6)],
@@ -199,15 +200,17 @@ def test_flow_is_not_told_how_much_a_well_produces():
 
 def test_an_imbalance_is_reported():
     """The error that is stored is large when the books do not close."""
-    told = Controls(START, START, (START,), (producer(),), TIMES, True)
+    controls = Controls(START, START, (START,), (producer(),), TIMES, True)
     cooked = RESPONSES._replace(cumulative=RESPONSES.cumulative * 1.01)
-    assert observe_flow(RESPONSES, told)["mass_balance_error"] < 1e-12
-    assert observe_flow(cooked, told)["mass_balance_error"] > 1e-3
+    assert observe_flow(superposed(RESPONSES, controls), controls)["mass_balance_error"] < 1e-12
+    assert observe_flow(superposed(cooked, controls), controls)["mass_balance_error"] > 1e-3
     steady = ROCK.respond((producer(),), ("outer",), (), method="steady")
-    told = Controls(START, START, (START,), (producer(),), (), False)
+    controls = Controls(START, START, (START,), (producer(),), (), False)
     cooked = steady._replace(output=steady.output * 1.01)
-    assert observe_flow(steady, told)["mass_balance_error"] < 1e-12
-    assert observe_flow(cooked, told)["mass_balance_error"] == pytest.approx(0.01 / 2.01, rel=1e-6)
+    assert observe_flow(superposed(steady, controls), controls)["mass_balance_error"] < 1e-12
+    assert observe_flow(superposed(cooked, controls), controls)[
+        "mass_balance_error"
+    ] == pytest.approx(0.01 / 2.01, rel=1e-6)
 
 
 def test_nothing_moves_where_everything_is_at_rest():
@@ -233,8 +236,8 @@ def test_explicit_claims_no_error_in_time_that_it_did_not_measure():
 
 def test_range_error_is_the_largest_excursion_of_a_unit_response():
     """Nothing where all lies in range; the excursion itself where one value is moved out."""
-    told = Controls(START, START, (START,), (producer(),), TIMES, True)
-    sound = float(observe_flow(RESPONSES, told)["range_error"])
+    controls = Controls(START, START, (START,), (producer(),), TIMES, True)
+    sound = float(observe_flow(superposed(RESPONSES, controls), controls)["range_error"])
     assert 0.0 <= sound < 1e-3
     for name, place, value, expected in (
         ("pressure", (0, -1, 0), 1.25, 0.25),
@@ -243,5 +246,7 @@ def test_range_error_is_the_largest_excursion_of_a_unit_response():
     ):
         array = getattr(RESPONSES, name).copy()
         array[place] = value
-        seen = observe_flow(RESPONSES._replace(**{name: array}), told)["range_error"]
+        seen = observe_flow(superposed(RESPONSES._replace(**{name: array}), controls), controls)[
+            "range_error"
+        ]
         assert seen == pytest.approx(expected, rel=1e-3)

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from demflow.model.controls import Controls, active_sources, controls, sites
+from demflow.model.controls import Controls, active_sources, controls_of, sites
 from demflow.model.flow.solvers.explicit import step_limit
 from demflow.model.flow.solvers.initial import STARTS
 from demflow.model.flow.solvers.registry import SOLVERS, flow
-from demflow.model.observe import observe_flow, pressure_map
+from demflow.model.history import superposed, superposed_map
+from demflow.model.observe import observe_flow
 from demflow.model.outcome import ModelError
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import (
@@ -38,31 +39,32 @@ GRADIENT = (3e5, -1e5)
 ERROR = {"explicit": 2e-3, "implicit": 1e-6, "krylov": 1e-6}
 
 
-def told(wells, boundaries, times, start, gradient=(0.0, 0.0), reference=0.0):
+def controls(wells, boundaries, times, start, gradient=(0.0, 0.0), reference=0.0):
     pressures = tuple(p for _, p in boundaries)
     return Controls(reference, reference, pressures, wells, times, True, start, gradient)
 
 
-def run(told, sides, rock=ROCK, region=REGION, method="krylov", tolerance=1e-7, probes=PROBES):
+def run(asked, sides, rock=ROCK, region=REGION, method="krylov", tolerance=1e-7, probes=PROBES):
     """The flow stage and what is observed, as `model.stages` wires them."""
-    fields = 2 if told.start == "gradient" else 0
+    fields = 2 if asked.start == "gradient" else 0
     responses = flow(
         rock.network,
         rock.apertures,
         region=region,
         bulk_modulus=rock.bulk_modulus,
-        wells=sites(told.wells),
+        wells=sites(asked.wells),
         sides=sides,
-        active=(True,) * (len(sides) + len(told.wells) + fields),
+        active=(True,) * (len(sides) + len(asked.wells) + fields),
         probes=probes,
-        times=told.times,
+        times=asked.times,
         method=method,
         tolerance=tolerance,
         safety_factor=0.5,
         record_map=True,
-        initial=told.start,
+        initial=asked.start,
     )
-    return observe_flow(responses, told), pressure_map(responses, told), responses
+    history = superposed(responses, asked)
+    return observe_flow(history, asked), superposed_map(responses, asked), responses
 
 
 @transient
@@ -71,7 +73,7 @@ def test_a_linear_field_decays_as_the_eigen_solution_says(method, sides):
     """Between a held side and wells that are shut, store, or keep a pressure; and sealed."""
     wells = (SHUT, STORES, HELD) if sides else (SHUT, STORES)
     times = tuple(np.geomspace(200, 2e4, 6) * LIMIT)
-    asked = told(wells, tuple((s, 0.0) for s in sides), times, "gradient", GRADIENT)
+    asked = controls(wells, tuple((s, 0.0) for s in sides), times, "gradient", GRADIENT)
     seen, maps, responses = run(asked, sides, method=method)
     system = ROCK.assembled(sites(wells), sides)
     matrix, storage = dense_matrices(system)
@@ -106,7 +108,7 @@ def test_a_linear_field_decays_as_the_eigen_solution_says(method, sides):
             seen["boundary_flow"][0], flow_in, atol=100 * ERROR[method] * scale
         )
     else:  # sealed: all comes to the mean
-        late, _, _ = run(told(wells, (), (1e8 * LIMIT,), "gradient", GRADIENT), ())
+        late, _, _ = run(controls(wells, (), (1e8 * LIMIT,), "gradient", GRADIENT), ())
         mean = storage @ start[:m] / storage.sum()
         np.testing.assert_allclose(late["well_pressure"][:, 0], mean, rtol=1e-6)
 
@@ -114,7 +116,7 @@ def test_a_linear_field_decays_as_the_eigen_solution_says(method, sides):
 def test_a_field_that_its_boundaries_hold_stays():
     """On a square lattice a linear pressure is at rest between its own values."""
     rock = reservoir(square_lattice(1.3, 0.05, (0.05, 0.05)), REGION)
-    asked = told((), (("left", 1e5), ("right", 5e5)), (1.0, 1e4), "gradient", (2e5, 0.0), 3e5)
+    asked = controls((), (("left", 1e5), ("right", 5e5)), (1.0, 1e4), "gradient", (2e5, 0.0), 3e5)
     seen, maps, responses = run(asked, ("left", "right"), rock)
     expected = 3e5 + 2e5 * rock.network.x[responses.domain]
     np.testing.assert_allclose(maps, np.stack([expected] * 2), rtol=1e-6)
@@ -128,7 +130,7 @@ def test_from_rest_a_well_changes_what_it_would_change_anywhere(method):
     well = Well(name="w", at=(0.3, 0.2), radius=0.15, schedule=((begin, 2e-6), (8 * begin, -1e-6)))
     times = (0.5 * begin, begin, 4 * begin, 20 * begin, late)
     wells, rim = (well, HELD), (("left", 4e5), ("top", 1e5))
-    seen, maps, _ = run(told(wells, rim, times, "steady"), ("left", "top"), method=method)
+    seen, maps, _ = run(controls(wells, rim, times, "steady"), ("left", "top"), method=method)
     rest = ROCK.observed(
         (Well(name="w", at=well.at, radius=well.radius, rate=0.0), HELD),
         rim,
@@ -159,7 +161,7 @@ def test_from_rest_a_well_changes_what_it_would_change_anywhere(method):
 def test_no_rest_where_a_well_is_cut_off_from_every_pressure():
     wall = (Trace(name="wall", transmissibility_multiplier=0.0, start=(0.0, -1.0), end=(0.0, 1.0)),)
     rock = reservoir(SCATTERED, REGION, 2e-5, wall)
-    asked = told((SHUT,), (("left", 1.0),), (1.0,), "steady")
+    asked = controls((SHUT,), (("left", 1.0),), (1.0,), "steady")
     with pytest.raises(ModelError, match="initial_pressure"):
         run(asked, ("left",), rock, probes=())
 
@@ -183,12 +185,12 @@ def test_controls_and_sources_follow_the_start():
     field = InitialField(pressure=5e6, gradient=(0.0, -1e4), at=(3.0, 2.0))
     one = scene(initial_pressure=field)
     assert (one.start, one.uniform_pressure) == ("gradient", None)
-    assert controls(one).reference == 5e6 + 2e4
-    assert controls(one).initial_weights == (0.0, -1e4)
+    assert controls_of(one).reference == 5e6 + 2e4
+    assert controls_of(one).initial_weights == (0.0, -1e4)
     assert active_sources(one) == (True, True, False, True)
     rest = scene(initial_pressure="steady")
     assert rest.start == "steady"
-    assert controls(rest).initial_weights == (0.0,)
+    assert controls_of(rest).initial_weights == (0.0,)
     assert active_sources(rest) == (False, True)
     assert scene().start == "uniform"
     assert scene(times=(), initial_pressure=None).start == "uniform"
@@ -224,6 +226,6 @@ def test_starts_that_mean_nothing_are_refused(more, message):
 
 def test_every_start_is_known_to_the_flow_stage():
     assert set(STARTS) == {"uniform", "gradient", "steady"}
-    asked = told((SHUT,), (("left", 1.0),), (1.0,), "uniform")._replace(start="sometimes")
+    asked = controls((SHUT,), (("left", 1.0),), (1.0,), "uniform")._replace(start="sometimes")
     with pytest.raises(ModelError, match="no start"):
         run(asked, ("left",))

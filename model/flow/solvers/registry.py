@@ -80,9 +80,11 @@ def choices(method: str, problem: Problem) -> list[Choice]:
     able = {name: s for name, s in SOLVERS.items() if s.transient == transient}
     moves = course(problem)
     forecasts = {name: solver.forecast(problem, moves) for name, solver in able.items()}
-    told = ", ".join(f"{name} {f.seconds:.2g} s" for name, f in forecasts.items())
+    predicted = ", ".join(f"{name} {f.seconds:.2g} s" for name, f in forecasts.items())
     size = f"{problem.system.n} unknowns, {len(problem.lag)} lags"
-    reason = f"least predicted time at a tolerance of {problem.tolerance:g} with {size}: {told}"
+    reason = (
+        f"least predicted time at a tolerance of {problem.tolerance:g} with {size}: {predicted}"
+    )
     found = []
     for name, forecast in sorted(forecasts.items(), key=lambda item: item[1].seconds):
         put = problem
@@ -111,9 +113,9 @@ def solve(method: str, problem: Problem) -> tuple[Choice, Answer]:
             answer = SOLVERS[choice.method].run(choice.problem)
             if not choice.proven and (error := euler_error(choice.problem, answer)) > tolerance:
                 raise ModelError(f"its answer shows a relative error of {error:.2g}")
-        except ModelError as told:
-            first = first or told
-            failed.append(f"; {choice.method} failed: {told}")
+        except ModelError as error:
+            first = first or error
+            failed.append(f"; {choice.method} failed: {error}")
         else:
             return choice._replace(reason=choice.reason + "".join(failed)), answer
     raise first or ModelError("no solver can answer; name one as solver.method")
@@ -155,7 +157,7 @@ def flow(
     """Responses of the network to a unit step of each source (the *flow* stage).
 
     The flow equation is linear while apertures stay fixed, so that any rate, schedule or
-    boundary pressure is a scaled and shifted sum of these; `model.observe` makes it.
+    boundary pressure is a scaled and shifted sum of these; `model.history` makes it.
 
     Parameters
     ----------

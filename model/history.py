@@ -1,0 +1,240 @@
+"""What one case did in time, whichever way it was found; what is observed is read from this.
+
+Where flow is linear, every schedule of rates and pressures is a sum of shifted and scaled
+responses to unit steps, and its history is made here by superposing them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.controls import Controls, sites, step_sizes
+from demflow.model.flow.equation.sites import change_times, time_since
+from demflow.model.flow.solvers.time_error import time_error
+from demflow.model.products import Responses
+
+Array = np.ndarray
+Steps = list[list[tuple[float, float]]]  # of each source: time (s), size (Pa or m³/s)
+
+
+class Volumes(NamedTuple):
+    """Fluid that went where since the start, at t times; k counts sides and wells at a pressure.
+
+    In m³ for unit depth; of a steady state in m³/s, where nothing is stored.
+    """
+
+    stored: Array  # (t,) in the pores
+    let_in: Array  # (t, k) by what keeps its pressure
+    produced: Array  # (t,) by the wells at a rate
+    moved: Array  # (t,) all of these without their signs, of rates that of every step of them
+
+
+class Solved(NamedTuple):
+    """How the flow was solved, and how well, by the names in `model.quantities.CASE`."""
+
+    residual: Array  # ()
+    range_error: Array  # ()
+    estimated_error: Array  # () NaN without an estimate
+    tolerance_met: Array  # () 1 or 0, NaN without an estimate
+    isolated_domains: Array  # ()
+    solver_used: Array  # () word
+    solver_reason: Array  # () words
+
+
+class History(NamedTuple):
+    """Pressures, rates, flows and volumes of one case at t times.
+
+    w wells, b sides at a fixed pressure, p probes, c times at which some rate changes.
+    """
+
+    times: Array  # (t,) s; a steady state has one, infinity
+    well_pressure: Array  # (w, t) Pa
+    well_rate: Array  # (w, t) m³/s for unit depth, positive for production
+    boundary_flow: Array  # (b, t) m³/s for unit depth, positive into the region
+    probe_pressure: Array  # (p, t) Pa
+    change_times: Array  # (c,) s, increasing
+    pressure_at_changes: Array  # (w, c) Pa: the wells' just before each of these
+    volumes: Volumes
+    solved: Solved
+
+
+def superposed(responses: Responses, controls: Controls) -> History:
+    """The history of a case whose flow is linear, from its responses to unit steps."""
+    steps = step_sizes(controls)
+    times, changes = _times(controls), change_times(sites(controls.wells))
+    output = _output(responses, controls, steps, times)
+    wells, sides = controls.wells, len(controls.side_pressures)
+    at_rate = [k for k, w in enumerate(wells) if w.pressure is None]
+    held = [k for k, w in enumerate(wells) if w.pressure is not None]
+
+    def pressures(found: Array) -> Array:
+        """Of all wells, (w, times), from recorded outputs (times, o)."""
+        pressure = np.empty((len(wells), len(found)))
+        pressure[at_rate] = controls.reference + found[:, : len(at_rate)].T
+        for k in held:
+            pressure[k] = wells[k].pressure
+        return pressure
+
+    flows = output[:, len(at_rate) : len(at_rate) + sides + len(held)].T
+    rate = np.empty((len(wells), len(times)))
+    rate[held] = -flows[sides:]
+    for k in at_rate:
+        starts = np.array([t for t, _ in wells[k].rate_changes])
+        rates = np.array([0.0, *(q for _, q in wells[k].rate_changes)])
+        # the rate that led to the pressure at a time: a change acts after its time
+        acted = time_since(starts[:, None], times[None, :]) > 0.0
+        rate[k] = rates[np.count_nonzero(acted, axis=0)]
+    probes = controls.reference + output[:, len(at_rate) + sides + len(held) :].T
+    probes[~responses.probe_reached] = controls.initial
+    before = _output(responses, controls, steps, changes) if controls.transient else output[:0]
+    return History(
+        times=times,
+        well_pressure=pressures(output),
+        well_rate=rate,
+        boundary_flow=flows[:sides],
+        probe_pressure=probes,
+        change_times=changes[: len(before)],
+        pressure_at_changes=pressures(before),
+        volumes=(
+            _volumes(responses, controls, steps, times)
+            if controls.transient
+            else _rates(flows, rate[at_rate])
+        ),
+        solved=Solved(
+            residual=responses.residual,
+            range_error=np.asarray(_out_of_range(responses, controls)),
+            estimated_error=responses.time_error,
+            tolerance_met=responses.tolerance_met,
+            isolated_domains=responses.isolated,
+            solver_used=responses.solver,
+            solver_reason=responses.solver_reason,
+        ),
+    )
+
+
+def superposed_map(responses: Responses, controls: Controls) -> Array:
+    """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study.
+
+    Domains that no source reaches keep the initial pressure; NaN where none is given.
+    """
+    times = _times(controls)
+    change = superpose(responses.pressure, responses.lag, step_sizes(controls), times)
+    change += started(responses.initial_pressure, responses.lag, controls.initial_weights, times)
+    return np.where(responses.reached, controls.reference + change, controls.initial)
+
+
+def superposed_error(
+    responses: Responses, reference: Responses, controls: Controls, *, flows: bool
+) -> dict[str, Array]:
+    """Errors in time of unit responses and of the reference that they are held against.
+
+    `flows` says whether inflows at fixed pressures count. By their names in
+    `model.quantities.CASE`.
+    """
+    held = sum(well.pressure is not None for well in controls.wells)
+    error = time_error(
+        responses,
+        reference,
+        fixed=len(controls.fixed_pressures),
+        wells=len(controls.wells) - held,
+        flows=flows or held > 0,
+    )
+    return {"reference_error": reference.time_error, "time_error": np.asarray(error)}
+
+
+def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
+    """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
+
+    A step acts after its time, not at it. At infinity (a steady study) every step acts.
+    """
+    total = np.zeros((len(at), *responses.shape[2:]))
+    for source, changes in enumerate(steps):
+        for time, size in changes:
+            if size == 0.0:
+                continue
+            since = time_since(time, at) if math.isfinite(at[0]) else at
+            acts = since > 0.0
+            total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
+    return total
+
+
+def started(fields: Array, lag: Array, weights: tuple[float, ...], at: Array) -> Array | float:
+    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …)."""
+    total: Array | float = 0.0
+    for field, weight in zip(fields, weights, strict=True):
+        total = total + weight * (field if len(field) == 1 else field[np.searchsorted(lag, at)])
+    return total
+
+
+def _times(controls: Controls) -> Array:
+    return np.asarray(controls.times) if controls.transient else np.array([math.inf])
+
+
+def _output(responses: Responses, controls: Controls, steps: Steps, at: Array) -> Array:
+    """Recorded outputs (t, o): what the start left and what the steps did."""
+    changes = superpose(responses.output, responses.lag, steps, at)
+    return changes + started(responses.initial_output, responses.lag, controls.initial_weights, at)
+
+
+def _volumes(responses: Responses, controls: Controls, steps: Steps, times: Array) -> Volumes:
+    """Volumes at the times of a transient."""
+    weights = controls.initial_weights
+    volumes = superpose(responses.cumulative, responses.lag, steps, times)
+    volumes += started(responses.initial_cumulative, responses.lag, weights, times)
+    let_in, stored = volumes[:, :-1], volumes[:, -1]
+    produced = np.zeros(len(times))
+    moved = np.abs(let_in).sum(axis=1) + np.abs(stored)
+    moved += np.abs(weights) @ responses.initial_volume
+    for changes in steps[len(controls.fixed_pressures) :]:
+        for time, size in changes:
+            volume = size * np.maximum(times - time, 0.0)
+            produced += volume
+            moved += np.abs(volume)
+    return Volumes(stored, let_in, produced, moved)
+
+
+def _rates(flows: Array, produced: Array) -> Volumes:
+    """Volumes of a steady state each second: flows (k, 1) let in, rates (w, 1) produced."""
+    moved = np.abs(flows).sum() + np.abs(produced).sum()
+    return Volumes(np.zeros(1), flows.T, np.array([produced.sum()]), np.array([moved]))
+
+
+def _out_of_range(responses: Responses, controls: Controls) -> float:
+    """Largest excursion of the recorded unit responses from the range of the maximum principle.
+
+    A fixed pressure that rises by 1 Pa keeps every pressure between 0 and 1 Pa, lets fluid in,
+    and none in elsewhere. A well that produces 1 m³/s raises no pressure and draws between 0
+    and 1 m³/s from each fixed one. Flows count over the largest of the source, and pressures
+    by a well likewise. A start in the steady state of fixed pressures has their ranges.
+    """
+    fixed = len(controls.fixed_pressures)
+    wells = len(controls.wells) - (fixed - len(controls.side_pressures))
+    responded = [(k, responses.output[k], responses.pressure[k]) for k in range(fixed + wells)]
+    if controls.start == "steady":
+        initial = zip(responses.initial_output, responses.initial_pressure, strict=True)
+        responded += [(k, output, field) for k, (output, field) in enumerate(initial)]
+    worst = [0.0]
+    for source, output, field in responded:
+        low, high = _extremes(output[:, :wells], output[:, wells + fixed :], field)
+        flows = output[:, wells : wells + fixed]
+        if source < fixed:
+            worst += [-low, high - 1.0]
+            low, _ = _extremes(flows[:, source])
+            _, high = _extremes(np.delete(flows, source, axis=1))
+            if (size := np.abs(flows).max(initial=0.0)) != 0.0:
+                worst += [-low / size, high / size]
+        else:
+            if (size := np.max([-low, high])) != 0.0:
+                worst.append(high / size)
+            low, high = _extremes(flows)
+            worst += [-low, high - 1.0]
+    return abs(float(np.max(worst)))
+
+
+def _extremes(*values: Array) -> tuple[float, float]:
+    """Least and largest of arrays and of zero; what is not a number stays."""
+    least = np.min([np.min(v, initial=0.0) for v in values])
+    return float(least), float(np.max([np.max(v, initial=0.0) for v in values]))
