@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from demflow.model.parameters import SceneError, check_fields, parameter
 
@@ -173,7 +174,9 @@ def distance_to_rim(region: Region, points: np.ndarray) -> np.ndarray:
 
 
 def clip_segment(
-    region: Region, start: tuple[float, float], end: tuple[float, float]
+    region: Region,
+    start: tuple[float, float] | np.ndarray,
+    end: tuple[float, float] | np.ndarray,
 ) -> list[tuple[float, float]]:
     """Parts of the segment start–end inside the region, as fractions (s0, s1) of it, in order."""
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
@@ -206,6 +209,47 @@ def clip_segment(
         else:
             kept.append((float(s0), float(s1)))
     return kept
+
+
+def clip_segments(
+    region: Region, start: npt.ArrayLike, end: npt.ArrayLike
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Parts of segments, ends (n, 2) each, that lie inside the region.
+
+    Returns the segment of each part (m,), in order, and the fractions of it, (m,) each, between
+    which the part lies; a segment that leaves and comes back has several.
+    """
+    start, end = (np.asarray(ends, dtype=float).reshape(-1, 2) for ends in (start, end))
+    xmin, xmax, ymin, ymax = bounding_box(region)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    near = (low[:, 0] <= xmax) & (high[:, 0] >= xmin) & (low[:, 1] <= ymax) & (high[:, 1] >= ymin)
+    whole = contains(region, start) & contains(region, end)
+    if isinstance(region, Polygon):
+        whole &= ~_meets_an_edge(np.asarray(region.vertices), start, end)
+    rest = np.flatnonzero(near & ~whole)
+    parts = [(k, 0.0, 1.0) for k in np.flatnonzero(whole)]
+    parts += [(k, s0, s1) for k in rest for s0, s1 in clip_segment(region, start[k], end[k])]
+    parts.sort()
+    table = np.array(parts).reshape(-1, 3)
+    return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
+
+
+def _meets_an_edge(corners: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Which segments may cross or touch an edge of a polygon, (n,) bool."""
+    step = end - start
+    meets = np.zeros(len(start), dtype=bool)
+    for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        edge = q - p
+
+        def side(point: np.ndarray, p: np.ndarray = p, edge: np.ndarray = edge) -> np.ndarray:
+            return edge[0] * (point[:, 1] - p[1]) - edge[1] * (point[:, 0] - p[0])
+
+        def turn(corner: np.ndarray) -> np.ndarray:
+            apart = corner - start
+            return step[:, 0] * apart[:, 1] - step[:, 1] * apart[:, 0]
+
+        meets |= (side(start) * side(end) <= 0) & (turn(p) * turn(q) <= 0)
+    return meets
 
 
 def _signed_area(corners: np.ndarray) -> float:

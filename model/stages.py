@@ -224,7 +224,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="open",
         function="demflow.model.network.apertures:open_pipes",
-        version=1,
+        version=2,
         parents=("network", "stress", "calibrate"),
         reads={
             "region": lambda s: s.region,

@@ -116,9 +116,8 @@ def open_pipes(
         volume=_volumes(network, fractures, lines, chains, aperture),
     )
     for index, (line, chain) in enumerate(zip(lines, chains, strict=True)):
-        fracture = fractures[line.fracture]
-        if fracture.aperture is not None:
-            acts[index] = _calibrate(network, result, index, chain, fracture.aperture, viscosity)
+        if line.aperture is not None:
+            acts[index] = _calibrate(network, result, index, chain, line.aperture, viscosity)
     for index, line in enumerate(lines):
         multiplier = fractures[line.fracture].transmissibility_multiplier
         if multiplier is not None:
@@ -131,7 +130,7 @@ def open_pipes(
         trace_end=np.array([line.end for line in lines]).reshape(-1, 2),
         trace_fracture=np.array([line.fracture for line in lines], dtype=np.int64),
         trace_transmissivity=np.array(
-            [transmissivity(fractures[line.fracture].aperture or 0.0, viscosity) for line in lines]
+            [transmissivity(line.aperture or 0.0, viscosity) for line in lines]
         ),
         trace_pipes=np.array([len(chain.pipe) for chain in chains], dtype=np.int64),
         trace_acts=acts,
@@ -248,12 +247,12 @@ def _volumes(
     own = np.full(len(network.volume), np.nan)
     for line, chain in zip(lines, chains, strict=True):
         fracture = fractures[line.fracture]
-        owner = fracture.pore_storage or ("matrix" if fracture.aperture else "fracture")
+        owner = fracture.pore_storage or ("matrix" if line.aperture else "fracture")
         if fracture.transmissibility_multiplier is not None or owner != "matrix":
             continue
         if len(chain.pipe) == 0:
             continue
-        width = fracture.aperture or float(aperture[chain.pipe].mean())
+        width = line.aperture or float(aperture[chain.pipe].mean())
         kept = np.fmax(own[chain.domain], 0.0) + width * chain.storage_length
         own[chain.domain] = np.minimum(kept, network.volume[chain.domain])
     on_trace = ~np.isnan(own)

@@ -6,8 +6,9 @@ import math
 from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Region, clip_segment
+from demflow.model.region import Region, clip_segments
 from demflow.model.scene.rock import FailureTest, Stress
+from demflow.model.scene.topology import polyline_problems
 
 __all__ = [
     "BiWing",
@@ -114,7 +115,7 @@ class BiWing(_FractureProperties):
             raise SceneError(problems)
 
     @property
-    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def points(self) -> tuple[tuple[float, float], ...]:
         """The two tips, m."""
         dx = self.half_length * math.cos(self.angle)
         dy = self.half_length * math.sin(self.angle)
@@ -145,23 +146,34 @@ class FractureSet(_FractureProperties):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace(_FractureProperties):
-    """A single straight fracture from point to point."""
+    """A single fracture: straight from point to point, or with bends through its vertices."""
 
-    start: tuple[float, float] = parameter("m", key="from", help="one end")
-    end: tuple[float, float] = parameter("m", key="to", help="other end")
+    start: tuple[float, float] | None = parameter("m", default=None, key="from", help="one end")
+    end: tuple[float, float] | None = parameter("m", default=None, key="to", help="other end")
+    vertices: tuple[tuple[float, float], ...] | None = parameter(
+        "m", default=None, help="ends and bends in order, instead of from and to"
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
         problems = self._problems()
-        if self.start == self.end:
+        if (self.vertices is None) == (self.start is None and self.end is None):
+            problems.append(("", "give either both from and to, or vertices"))
+        elif self.vertices is not None:
+            problems += [("vertices", what) for what in polyline_problems(self.vertices)]
+        elif self.start is None or self.end is None:
+            problems.append(("", f"lacks {'from' if self.start is None else 'to'}"))
+        elif self.start == self.end:
             problems.append(("to", "the fracture has zero length"))
         if problems:
             raise SceneError(problems)
 
     @property
-    def ends(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """The two ends, m."""
-        return self.start, self.end
+    def points(self) -> tuple[tuple[float, float], ...]:
+        """Its ends and bends in order, m."""
+        if self.start is not None and self.end is not None:
+            return self.start, self.end
+        return self.vertices or ()
 
 
 Fracture = BiWing | FractureSet | Trace
@@ -177,8 +189,12 @@ def fracture_problems(fractures: tuple[Fracture, ...], region: Region) -> Proble
             if count > MOST_TRACES:
                 what = f"about {count:.2g} fractures in the region, more than {MOST_TRACES}"
                 yield f"{path}.spacing", what
-        elif not clip_segment(region, *fracture.ends):
-            key = "at" if isinstance(fracture, BiWing) else "from"
+        elif len(clip_segments(region, fracture.points[:-1], fracture.points[1:])[0]) == 0:
+            key = "vertices"
+            if isinstance(fracture, BiWing):
+                key = "at"
+            elif fracture.vertices is None:
+                key = "from"
             yield f"{path}.{key}", "the fracture lies outside the region"
 
 

@@ -1,4 +1,4 @@
-"""The straight lines that a scene's fractures draw in its region."""
+"""The lines that a scene's fractures draw in its region."""
 
 from __future__ import annotations
 
@@ -7,23 +7,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.region import Region, bounding_box, clip_segment, contains
+from demflow.model.region import Region, bounding_box, clip_segments, contains
 from demflow.model.scene.fractures import Fracture, FractureSet, Joint
 
-__all__ = ["JointLine", "Line", "joint_lines", "lines_of"]
+__all__ = ["JointLine", "Line", "Polylines", "joint_lines", "lines_of", "polylines"]
 
 # An end of a trace nearer to the rim than this part of its length lies on it.
 RIM_TOUCH = 1e-9
 
 
 class Line(NamedTuple):
-    """A straight trace inside the region."""
+    """A straight piece of a trace inside the region.
+
+    Pieces of one trace follow each other in its order; consecutive ones share the coordinates
+    of their common end, bit by bit, unless the trace leaves the region between them.
+    """
 
     fracture: int  # index of the fracture in the scene
     start: tuple[float, float]  # m
     end: tuple[float, float]  # m
     start_at_rim: bool  # the fracture leaves the region there
     end_at_rim: bool
+    trace: int = 0  # the polyline that it is a piece of, counted over all fractures of the scene
+    aperture: float | None = None  # m, hydraulic, of this trace; None where it is given otherwise
 
     @property
     def length(self) -> float:
@@ -39,46 +45,83 @@ class JointLine(NamedTuple):
     joint: Joint
 
 
+class Polylines(NamedTuple):
+    """What a fracture draws in the plane: m polylines with bends, before clipping."""
+
+    vertices: np.ndarray  # (v, 2) m, of one polyline after the other
+    first: np.ndarray  # (m + 1,) the first vertex of each
+    aperture: np.ndarray | None  # (m,) m, hydraulic; None where the fracture has none
+
+    @property
+    def pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Polyline (s,), start and end (s, 2) of each straight piece."""
+        count = np.diff(self.first)
+        owner = np.repeat(np.arange(len(count)), count)
+        inner = np.flatnonzero(owner[1:] == owner[:-1])
+        return owner[inner], self.vertices[inner], self.vertices[inner + 1]
+
+
 def joint_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[JointLine, ...]:
-    """Every straight trace of the fractures that are joints, with nothing of what they conduct."""
+    """Every straight piece of the fractures that are joints, with nothing of what they conduct."""
     return tuple(
-        JointLine(start, end, fracture.joint)
+        JointLine(_point(start), _point(end), fracture.joint)
         for fracture in fractures
         if fracture.joint is not None
-        for start, end in _segments(fracture, region)
-        if start != end
+        for start, end in zip(*polylines(fracture, region).pieces[1:], strict=True)
+        if not np.array_equal(start, end)
     )
 
 
 def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
-    """Every straight trace of the scene's fractures, clipped to the region."""
-    lines = []
+    """Every straight piece of the scene's fractures, clipped to the region."""
+    lines: list[Line] = []
+    traces = 0
     for index, fracture in enumerate(fractures):
-        for start, end in _segments(fracture, region):
-            for s0, s1 in clip_segment(region, start, end):
-                a = np.asarray(start) + s0 * (np.asarray(end) - start)
-                b = np.asarray(start) + s1 * (np.asarray(end) - start)
-                # an end on the rim, but for round-off, is an end at the rim
-                beyond = np.array([a - RIM_TOUCH * (b - a), b + RIM_TOUCH * (b - a)])
-                leaves = ~contains(region, beyond)
-                lines.append(
-                    Line(
-                        index,
-                        (float(a[0]), float(a[1])),
-                        (float(b[0]), float(b[1])),
-                        bool(leaves[0]),
-                        bool(leaves[1]),
-                    )
+        drawn = polylines(fracture, region)
+        owner, start, end = drawn.pieces
+        piece, s0, s1 = clip_segments(region, start, end)
+        step = end[piece] - start[piece]
+        a = np.where(s0[:, None] == 0.0, start[piece], start[piece] + s0[:, None] * step)
+        b = np.where(s1[:, None] == 1.0, end[piece], start[piece] + s1[:, None] * step)
+        # an end on the rim, but for round-off, is an end at the rim
+        leaves = ~contains(region, np.concatenate([a, b]) + RIM_TOUCH * np.vstack([a - b, b - a]))
+        for k in range(len(piece)):
+            trace = int(owner[piece[k]])
+            lines.append(
+                Line(
+                    index,
+                    _point(a[k]),
+                    _point(b[k]),
+                    bool(leaves[k]),
+                    bool(leaves[len(piece) + k]),
+                    traces + trace,
+                    None if drawn.aperture is None else float(drawn.aperture[trace]),
                 )
+            )
+        traces += len(drawn.first) - 1
     return lines
 
 
-def _segments(
-    fracture: Fracture, region: Region
-) -> list[tuple[tuple[float, float], tuple[float, float]]]:
-    """Ends of every straight piece of a fracture, before clipping."""
-    if not isinstance(fracture, FractureSet):
-        return [fracture.ends]
+def polylines(fracture: Fracture, region: Region) -> Polylines:
+    """The polylines of a fracture, before clipping."""
+    if isinstance(fracture, FractureSet):
+        points = _set_ends(fracture, region)
+        first = np.arange(0, len(points) + 1, 2)
+    else:
+        points = np.array(fracture.points, dtype=float).reshape(-1, 2)
+        first = np.array([0, len(points)])
+    aperture = fracture.aperture
+    return Polylines(
+        points, first, None if aperture is None else np.full(len(first) - 1, float(aperture))
+    )
+
+
+def _point(at: np.ndarray) -> tuple[float, float]:
+    return (float(at[0]), float(at[1]))
+
+
+def _set_ends(fracture: FractureSet, region: Region) -> np.ndarray:
+    """Ends of the fractures of a regular set over the region, (2 n, 2)."""
     along = np.array([math.cos(fracture.angle), math.sin(fracture.angle)])
     across = np.array([-along[1], along[0]])
     xmin, xmax, ymin, ymax = bounding_box(region)
@@ -89,7 +132,7 @@ def _segments(
         math.floor((corners @ across).max() / fracture.spacing) + 1,
     )
     low, high = (corners @ along).min(), (corners @ along).max()
-    segments = []
+    ends = []
     for row in rows:
         shift = 0.5 * period * (row % 2)
         first = math.floor((low - shift - 0.5 * fracture.length) / period)
@@ -97,5 +140,5 @@ def _segments(
         for k in range(first, last + 1):
             middle = row * fracture.spacing * across + (k * period + shift) * along
             a, b = middle - 0.5 * fracture.length * along, middle + 0.5 * fracture.length * along
-            segments.append(((float(a[0]), float(a[1])), (float(b[0]), float(b[1]))))
-    return segments
+            ends += [a, b]
+    return np.array(ends).reshape(-1, 2)
