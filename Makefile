@@ -2,8 +2,9 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NAME ?=
+PROCESSES ?= auto
 
-.PHONY: demo test lint format bench peers clean
+.PHONY: demo test quick coverage lint format bench peers clean
 .DEFAULT_GOAL := demo
 
 .venv/ready: requirements.txt pyproject.toml
@@ -17,8 +18,14 @@ NAME ?=
 demo: .venv/ready  ## run studies/quickstart.yaml on two cores
 	$(BIN)/demflow run studies/quickstart.yaml --workers 2
 
-test: .venv/ready  ## all tests
-	$(BIN)/python -m pytest
+test: .venv/ready  ## all tests, one process a core
+	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal
+
+quick: .venv/ready  ## laws and units: what answers within a minute
+	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal -m "not slow"
+
+coverage: .venv/ready  ## all tests, and the lines of demflow that none of them reaches
+	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal --cov=demflow --cov-report=term:skip-covered
 
 lint: .venv/ready  ## style, imports and types
 	$(BIN)/ruff check .
