@@ -6,6 +6,7 @@ import hashlib
 import itertools
 import multiprocessing
 import re
+import shutil
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -28,6 +29,7 @@ from demflow.sweep.store.durable import naming, write_durably
 from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.lock import FolderLock
 from demflow.sweep.store.products import StoreError
+from demflow.sweep.store.written import check_folder, is_whole, ours
 from demflow.sweep.study.expect import BOUNDED, beyond_bounds, ends_as_expected
 
 if TYPE_CHECKING:
@@ -36,10 +38,10 @@ if TYPE_CHECKING:
     from demflow.sweep.dataset.verdict import Verdict
     from demflow.sweep.execution.ledger import Executed
 
-REPORT_FILE = "report.html"
+REPORT_FILE, FIGURES = "report.html", "figures"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
 MARKS = {f"{DATASET_FILE}.sha256", UNFINISHED_FILE}  # nobody else has files of these names
-OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, "figures"} | MARKS
+OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES} | MARKS
 COLLECTOR = 2  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
@@ -57,6 +59,7 @@ class Finished:
     figures: tuple[Path, ...] = ()
     report: Path | None = None
     damaged: list[str] = field(default_factory=list)
+    drawing: tuple[str, ...] = ()  # what could not be drawn, or stood in the way
     changed: bool = False  # whether the study file is no longer the one that was run
 
     def messages(self) -> Iterator[str]:
@@ -65,6 +68,7 @@ class Finished:
             yield f"damaged, computed again: {message}"
         for message in self.executed.refused if self.executed else ():
             yield f"not used: {message}"
+        yield from self.drawing
         if self.changed:
             kept = self.folder / STUDY_FILE
             yield f"the study file has changed meanwhile; the results are those of {kept}"
@@ -219,11 +223,11 @@ def draw_study(
 
 
 def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finished:
-    """Write figures and report; those that are there stay unless they are drawn `again`."""
+    """Write figures and report; those that are there, whole, stay unless drawn `again`."""
     folder = prepared.folder
     report = folder / REPORT_FILE
-    if not again and report.exists():
-        there = tuple(sorted((folder / "figures").glob("*")))
+    if not again and report.exists() and is_whole(folder / FIGURES):
+        there = tuple(path for path in ours(folder / FIGURES) if path.suffix == ".png")
         return replace(finished, figures=there, report=report)
     from demflow.sweep.dataset.open import open_results
     from demflow.sweep.figures import write_figures
@@ -232,8 +236,10 @@ def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finish
     with naming(folder):
         dataset = open_results(folder)
         figures = write_figures(dataset, folder, prepared.study)
-        report = write_report(dataset, folder, prepared.study, figures)
-    return replace(finished, figures=tuple(figures), report=report)
+        report = write_report(dataset, folder, prepared.study, figures.paths)
+    return replace(
+        finished, figures=tuple(figures.paths), report=report, drawing=tuple(figures.messages)
+    )
 
 
 def as_expected(prepared: Project, verdicts: list[Verdict]) -> np.ndarray:
@@ -328,6 +334,7 @@ def _nothing_run_yet(prepared: Project) -> Iterator[None]:
 def _check_own(prepared: Project) -> None:
     """Raise StoreError where the folder of a study's results is used for something else."""
     folder = prepared.folder
+    check_folder(folder / FIGURES)
     names = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
     if names & MARKS:
         return
@@ -367,6 +374,8 @@ def _remove_partial(prepared: Project) -> None:
     prepared.store.remove_partial()
     for left in prepared.folder.glob("*.partial"):
         if _own(left.name):
+            if left.is_dir() and not left.is_symlink():
+                shutil.rmtree(left, ignore_errors=True)
             with suppress(OSError):
                 left.unlink()
 

@@ -88,8 +88,13 @@ def plain_number(value: float, digits: int = 4) -> str:
     if "e" not in text:
         return text
     mantissa, exponent = text.split("e")
-    power = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"10{power}" if mantissa == "1" else f"{mantissa}×10{power}"
+    power = power_of_ten(int(exponent))
+    return power if mantissa == "1" else f"{mantissa}×{power}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """A power as people write it: `power_of_ten(-5)` is `10⁻⁵`."""
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def axis_title(name: str) -> str:

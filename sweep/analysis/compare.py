@@ -27,6 +27,10 @@ SceneOf = Callable[[Index], Scene]  # the scene of a case
 MapsOf = Callable[[Index], xr.Dataset]  # the maps of a case
 
 
+class ComparisonError(ValueError):
+    """Cases that cannot be held against a formula; the text says which and why."""
+
+
 def comparison_problem(scene: Scene, kind: str) -> str | None:
     """Why a scene cannot be held against the formula of `kind` (linear, radial), or None."""
     if kind not in ("linear", "radial"):
@@ -70,32 +74,32 @@ def comparable_cases(
 ) -> list[tuple[Index, Scene]]:
     """Every case that is done, with its scene.
 
-    Raises ValueError where none is done or a scene is not the formula's, saying why.
+    Raises ComparisonError where none is done or a scene is not the formula's, saying why.
     """
     cases = [(index, scene_of(index)) for index in done(dataset)]
     if not cases:
-        raise ValueError("no case is done, so there is nothing to compare")
+        raise ComparisonError("no case is done, so there is nothing to compare")
     for index, scene in cases:
         problem = comparison_problem(scene, kind)
         if problem:
             where = case_title(dataset, index) or "the only case"
-            raise ValueError(f"figures.compare {kind}: {problem} ({where})")
+            raise ComparisonError(f"figures.compare {kind}: {problem} ({where})")
     if len({len(scene.times) for _, scene in cases}) > 1:
-        raise ValueError(f"figures.compare {kind}: the cases have different numbers of times")
+        raise ComparisonError(f"figures.compare {kind}: the cases have different numbers of times")
     return cases
 
 
 def fluid_of(scene: Scene) -> Fluid:
     """The fluid of a scene that is compared with a formula of flow."""
     if scene.fluid is None:
-        raise ValueError("the comparison needs a fluid")
+        raise ComparisonError("the comparison needs a fluid")
     return scene.fluid
 
 
 def initial_pressure_of(scene: Scene) -> float:
     """The pressure everywhere before the first time, Pa."""
     if scene.uniform_pressure is None:
-        raise ValueError("the comparison needs one initial_pressure everywhere")
+        raise ComparisonError("the comparison needs one initial_pressure everywhere")
     return scene.uniform_pressure
 
 
@@ -105,7 +109,9 @@ def compared_permeability(scene: Scene, case: xr.Dataset) -> float:
     if matrix is not None and matrix.permeability is not None and scene.stress is None:
         return matrix.permeability
     if "permeability" not in case:
-        raise ValueError("the comparison needs a permeability: give one, or observe permeability")
+        raise ComparisonError(
+            "the comparison needs a permeability: give one, or observe permeability"
+        )
     tensor = case["permeability"].values
     return float(0.5 * (tensor[0, 0] + tensor[1, 1]))
 

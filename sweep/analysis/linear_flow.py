@@ -84,7 +84,7 @@ def compare_linear(dataset: xr.Dataset, scene_of: SceneOf, maps_of: MapsOf) -> L
 
     Raises
     ------
-    ValueError : no case is done, or a scene that is not the formula's (says which and why).
+    ComparisonError : no case is done, or a scene that is not the formula's (says which and why).
     """
     edges = np.linspace(0.0, 1.0, BINS + 1)
     rows: list[dict[str, Any]] = []

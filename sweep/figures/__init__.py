@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import os
 import re
-from itertools import product
+import shutil
+from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from demflow.model.outcome import Status
 from demflow.model.scene import Scene, Well
-from demflow.sweep.analysis.cases import Index, axes, case_title
-from demflow.sweep.analysis.compare import MapsOf, SceneOf
+from demflow.sweep.analysis.cases import Index, axes, case_title, done
+from demflow.sweep.analysis.compare import ComparisonError, MapsOf, SceneOf
 from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
 from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
 from demflow.sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
@@ -27,15 +31,24 @@ from demflow.sweep.figures.speed import draw_speed
 from demflow.sweep.figures.strength import draw_strength
 from demflow.sweep.figures.style import house_style
 from demflow.sweep.figures.wells import draw_well
+from demflow.sweep.store.written import check_folder, replace_files
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
 
-__all__ = ["write_figures"]
+__all__ = ["Figures", "write_figures"]
 
 MOST_MAPS = 4  # cases whose maps are drawn
+LONGEST_NAME = 80  # letters of a well in the name of a file
 
 
-def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[Path]:
+class Figures(NamedTuple):
+    """What was drawn of a study."""
+
+    paths: list[Path]  # PNG files, in the order of a report
+    messages: list[str]  # what could not be drawn, and what of the user's was renamed
+
+
+def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> Figures:
     """Draw a study's figures into `results_dir/figures`, and tables of comparisons beside them.
 
     Parameters
@@ -46,18 +59,33 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
 
     Returns
     -------
-    Paths of the PNG files, in the order of a report. Each holds its caption as its PNG
-    description; `NAME_*.csv` beside `NAME.png` are its tables. Figures of an earlier run
-    that are not drawn again are removed.
+    The PNG files: each holds its caption as its PNG description; `NAME_*.csv` beside `NAME.png`
+    are its tables. Figures of an earlier run that are not drawn again are removed, and no
+    other file (see `sweep.store.written`). A comparison that the scenes do not allow is a message.
 
     Raises
     ------
-    ValueError : the study asks for a comparison that its scenes do not allow (says why).
+    StoreError : `figures` is a link. OSError.
     """
     folder = Path(results_dir) / "figures"
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in [*folder.glob("*.png"), *folder.glob("*.csv")]:
-        old.unlink()
+    check_folder(folder)
+    aside = folder.with_name(f"figures.{os.getpid()}.partial")
+    shutil.rmtree(aside, ignore_errors=True)
+    try:
+        aside.mkdir(parents=True)
+        messages: list[str] = []
+        drawn = _draw(dataset, Path(results_dir), study, aside, messages)
+        tables = sorted(aside.glob("*.csv"))
+        messages += replace_files(folder, {path.name: path for path in [*drawn, *tables]})
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+    return Figures([folder / path.name for path in drawn], messages)
+
+
+def _draw(
+    dataset: xr.Dataset, results_dir: Path, study: Study, folder: Path, messages: list[str]
+) -> list[Path]:
+    """Draw the figures into a folder; returns them, in the order of a report."""
     if not np.any(dataset["status"].values == Status.DONE):
         return []
 
@@ -68,22 +96,17 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
         values = {axis: dataset[axis].values[at].item() for axis, at in index.items()}
         return open_case(results_dir, **values)
 
-    def well_of(index: Index, name: str) -> Well | None:
-        return next((well for well in scene_of(index).wells if well.name == name), None)
-
     roles = roles_of(study)
     with house_style():
         if roles is not None and "time_error" in dataset:
             return [_speed(dataset, study, roles, scene_of, maps_of, folder)]
         drawn: list[Path | None] = []
         if study.figures.compare:
-            drawn.append(_compare(dataset, study.figures.compare, scene_of, maps_of, folder))
-        if "pressure_change" in dataset:
-            for name in map(str, dataset["well"].values):
-                path = folder / f"well_pressure_{_plain(name)}.png"
-                drawn.append(draw_well(dataset, name, well_of, path))
-                path = folder / f"horner_{_plain(name)}.png"
-                drawn.append(draw_horner(dataset, name, well_of, path))
+            try:
+                drawn.append(_compare(dataset, study.figures.compare, scene_of, maps_of, folder))
+            except ComparisonError as error:
+                messages.append(f"no comparison was drawn: {error}")
+        drawn += _wells(dataset, scene_of, folder)
         for k, index in enumerate(representative_cases(dataset)):
             if "pressure_map" in scene_of(index).observe:
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()
@@ -98,9 +121,30 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> list[
     return [path for path in drawn if path is not None]
 
 
-def _plain(name: str) -> str:
-    """A name from a study as a part of a file name."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "_", name)
+def _wells(dataset: xr.Dataset, scene_of: SceneOf, folder: Path) -> list[Path | None]:
+    """Draw the transients of every well."""
+
+    def well_of(index: Index, name: str) -> Well | None:
+        return next((well for well in scene_of(index).wells if well.name == name), None)
+
+    drawn: list[Path | None] = []
+    if "pressure_change" in dataset:
+        wells = list(map(str, dataset["well"].values))
+        for name, plain in zip(wells, _file_names(wells), strict=True):
+            drawn.append(draw_well(dataset, name, well_of, folder / f"well_pressure_{plain}.png"))
+            drawn.append(draw_horner(dataset, name, well_of, folder / f"horner_{plain}.png"))
+    return drawn
+
+
+def _file_names(names: Sequence[str]) -> list[str]:
+    """Names from a study as parts of file names, different from each other on any system."""
+    found: list[str] = []
+    for name in names:
+        plain = re.sub(r"[^A-Za-z0-9_.-]", "_", name)[:LONGEST_NAME]
+        taken = {other.lower() for other in found}
+        free = (f"{plain}{'_' * (k > 0)}{k or ''}" for k in itertools.count())
+        found.append(next(one for one in free if one.lower() not in taken))
+    return found
 
 
 def representative_cases(dataset: xr.Dataset) -> list[Index]:
@@ -111,12 +155,9 @@ def representative_cases(dataset: xr.Dataset) -> list[Index]:
     ends = {axis: [0] for axis in axes(dataset)}
     for axis in [a for a in axes(dataset) if dataset.sizes[a] > 1][:2]:
         ends[axis] = [0, dataset.sizes[axis] - 1]
-    corners = [dict(zip(ends, at, strict=True)) for at in product(*ends.values())]
-    done = [c for c in corners if int(dataset["status"].isel(c)) == Status.DONE]
-    if not done:
-        first = np.argwhere(np.asarray(dataset["status"].values) == Status.DONE)[0]
-        done = [dict(zip(axes(dataset), map(int, first), strict=True))]
-    return done[:MOST_MAPS]
+    corners = [dict(zip(ends, at, strict=True)) for at in itertools.product(*ends.values())]
+    good = [c for c in corners if int(dataset["status"].isel(c)) == Status.DONE]
+    return (good or [next(done(dataset))])[:MOST_MAPS]
 
 
 def _speed(
@@ -146,8 +187,7 @@ def _compare(
         tables = linear_tables(linear)
         draw_linear(linear, path)
     else:
-        index = {axis: 0 for axis in axes(dataset)}
-        mapped = "pressure_map" in scene_of(index).observe
+        mapped = all("pressure_map" in scene_of(index).observe for index in done(dataset))
         radial = compare_radial(dataset, scene_of, maps_of if mapped else None)
         tables = radial_tables(radial)
         draw_radial(radial, path)

@@ -14,7 +14,16 @@ from demflow.model.outcome import Status
 from demflow.model.scene import MEASURED_BY_A_TEST
 from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display
 from demflow.sweep.analysis.compare import MapsOf
-from demflow.sweep.figures.style import BLACK, BLUE, GREY, VERMILION, new_figure, save, sequence
+from demflow.sweep.figures.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    VERMILION,
+    legend_text,
+    new_figure,
+    save,
+    sequence,
+)
 
 MOST_CURVES = 6  # values of the axis whose curves are drawn
 HEIGHT = 3.6  # inches of a specimen
@@ -42,7 +51,7 @@ def draw_failure(
     for (name, _), test, colour in zip(cases, tests, sequence(len(tests)), strict=True):
         axial, lateral = 100.0 * test["axial_strain"].values, 100.0 * test["lateral_strain"].values
         stress = factor * test["axial_stress"].values
-        curves.plot(axial, stress, color=colour, label=name)
+        curves.plot(axial, stress, color=colour, label=legend_text(name))
         curves.plot(-lateral, stress, color=colour)
         counts.plot(axial, test["cracks"].values, color=colour)
     curves.axvline(0.0, color=GREY, linewidth=0.8)

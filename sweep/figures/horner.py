@@ -12,7 +12,7 @@ from demflow.model.analytic.wellbore import horner_time
 from demflow.model.outcome import Status
 from demflow.model.scene import Well
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
-from demflow.sweep.figures.style import LINE_STYLES, new_figure, pick, save, shades
+from demflow.sweep.figures.style import LINE_STYLES, legend_text, new_figure, pick, save, shades
 from demflow.sweep.figures.wells import WellOf
 
 _MOST = (5, 3)  # values shown by colour and by line style
@@ -63,7 +63,7 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
             color=shades("Blues", len(colours))[c],
             linestyle=LINE_STYLES[s],
             linewidth=1.8 + 2.0 * (len(colours) - 1 - c),  # a skin alone leaves no trace: they meet
-            label=named or well,
+            label=legend_text(named or well),
         )
         drawn += 1
     if not drawn:

@@ -22,7 +22,7 @@ from demflow.sweep.figures.style import (
     save,
 )
 
-_COMPONENTS = (("$k_{xx}$", 0, BLUE, "o"), ("$k_{yy}$", 1, VERMILION, "s"))
+_COMPONENTS = (("k_xx", 0, BLUE, "o"), ("k_yy", 1, VERMILION, "s"))
 
 
 def draw_permeability(
@@ -41,7 +41,8 @@ def draw_permeability(
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     matter = [a for a in varied if _matters(tensor, a)]
     idle = [a for a in varied if a not in matter]
-    tensor = tensor.isel({a: 0 for a in axes(dataset) if a not in matter})
+    # along the others all cases that have a value have the same
+    tensor = tensor.max([a for a in axes(dataset) if a not in matter])
     factor, unit = display("m2", np.array([tensor.values[..., i, i] for i in (0, 1)]))
     figure = new_figure(max(3.0 * max(len(matter), 1) + 1.2, 4.6), 3.6)
     panels = figure.subplots(1, max(len(matter), 1), sharey=True, squeeze=False)[0]

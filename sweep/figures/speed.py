@@ -11,7 +11,16 @@ from matplotlib.lines import Line2D
 
 from demflow.sweep.analysis.cases import plain_number
 from demflow.sweep.analysis.speed import Ladder, SpeedError
-from demflow.sweep.figures.style import BLACK, BLUE, GREY, LIGHT_GREY, VERMILION, new_figure, save
+from demflow.sweep.figures.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    LIGHT_GREY,
+    VERMILION,
+    legend_text,
+    new_figure,
+    save,
+)
 
 _COLOURS = {"explicit": VERMILION, "implicit": BLUE, "krylov": BLACK}
 _MARKERS = {"explicit": "s", "implicit": "o", "krylov": "D"}
@@ -40,7 +49,8 @@ def draw_speed(result: SpeedError, path: Path) -> Path:
     for panel in scenes[1:]:
         panel.sharex(scenes[0])
         panel.sharey(scenes[0])
-    scenes[0].set(xscale="log", yscale="log")
+    if any(np.isfinite(ladder.error * ladder.seconds).any() for ladder in result.ladders):
+        scenes[0].set(xscale="log", yscale="log")
     for panel in panels[:, 0]:
         panel.set_ylabel("time error, relative")
     for panel in panels[-1, :columns]:
@@ -125,7 +135,7 @@ def _draw_model(panel: Axes, result: SpeedError) -> None:
             panel.plot(here, model.error, ".", color=colour, alpha=0.5, markersize=4)
         name = f"{scene} ({models[0].formula})"
         mean = [model.error.mean() for model in models]
-        panel.plot(sizes, mean, marker="o", markersize=4.5, color=colour, label=name)
+        panel.plot(sizes, mean, marker="o", markersize=4.5, color=colour, label=legend_text(name))
     panel.set(xscale="log", yscale="log", xlabel="grains", ylabel="against the continuum, relative")
     panel.set_xticks(result.sizes, [f"{n:,}" for n in result.sizes])
     panel.minorticks_off()

@@ -32,7 +32,7 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
             rows = quantity.transpose(along[0], ...).values.reshape(quantity.sizes[along[0]], -1)
             at, title = _places(dataset, along[0], len(rows))
             panel.plot(at, factor * rows, "o", color=BLUE, markersize=3, alpha=0.6)
-            panel.plot(at, factor * np.nanmean(rows, axis=1), color=BLUE)
+            panel.plot(at, factor * _means(rows), color=BLUE)
             panel.set_xlabel(title)
         else:
             panel.plot(factor * quantity.values.ravel(), "o", color=BLUE)
@@ -45,6 +45,13 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
             highest = max(highest, 1.0)
         panel.set_ylim(0.0, highest or None)
     return save(figure, path, "What the tests to failure measured; lines are means over the cases")
+
+
+def _means(rows: np.ndarray) -> np.ndarray:
+    """Mean of each row, of its values that are there; NaN where none is."""
+    count = np.count_nonzero(np.isfinite(rows), axis=1)
+    total = np.nansum(rows, axis=1)
+    return np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0)
 
 
 def _places(dataset: xr.Dataset, axis: str, count: int) -> tuple[np.ndarray, str]:

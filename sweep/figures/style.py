@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,10 +15,16 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogFormatterMathtext,
+    LogFormatterSciNotation,
+    LogLocator,
+    NullFormatter,
+)
 
 from demflow.model.quantities import CASE, COORDINATES, MAPS, TESTS
-from demflow.sweep.analysis.cases import display, plain_number
+from demflow.sweep.analysis.cases import display, plain_number, power_of_ten
 
 DPI = 130
 
@@ -42,16 +50,19 @@ _RC: Any = {
     "lines.linewidth": 1.6,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
-    "mathtext.fontset": "dejavusans",
+    "text.parse_math": False,  # a `$` of a title or a name is a `$`
+    "text.usetex": False,
 }
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
     """Draw in the house's style; matplotlib's own settings are as before afterwards."""
-    with matplotlib.rc_context():
+    with matplotlib.rc_context(), warnings.catch_warnings():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_RC)
+        # a letter that the font lacks is drawn as a box; the caption beside the picture has it
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 
@@ -64,8 +75,31 @@ def new_figure(width: float, height: float) -> Figure:
 
 def save(figure: Figure, path: Path, caption: str) -> Path:
     """Write a PNG that carries its caption as its description. Same figure, same bytes."""
+    for panel in figure.axes:
+        for axis in (panel.xaxis, panel.yaxis):
+            if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
+                axis.set_major_formatter(_PlainPowers())
+            if isinstance(axis.get_minor_formatter(), LogFormatterMathtext):
+                minor = _PlainPowers(labelOnlyBase=False, minor_thresholds=(1, 0.4))
+                axis.set_minor_formatter(minor)
     figure.savefig(path, dpi=DPI, metadata={"Software": None, "Description": caption})
     return path
+
+
+class _PlainPowers(LogFormatterSciNotation):
+    """Labels the places that matplotlib would, without its markup."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        if not super().__call__(x, pos):
+            return ""
+        exponent = round(math.log10(x))
+        exact = math.isclose(x, 10.0**exponent)
+        return power_of_ten(exponent) if exact else plain_number(x, 3)
+
+
+def legend_text(text: str) -> str:
+    """A text that a legend shows: matplotlib hides those that begin with an underscore."""
+    return f"\u200a{text}" if text.startswith("_") else text
 
 
 def shades(name: str, count: int) -> np.ndarray:

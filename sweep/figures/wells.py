@@ -20,6 +20,7 @@ from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
     LINE_STYLES,
+    legend_text,
     new_figure,
     pick,
     plain_log_ticks,
@@ -149,7 +150,7 @@ def _legend(
     dataset: xr.Dataset, roles: _Roles, blues: np.ndarray, reds: np.ndarray
 ) -> list[Line2D]:
     def heading(text: str) -> Line2D:
-        return Line2D([], [], linestyle="none", label=text)
+        return Line2D([], [], linestyle="none", label=legend_text(text))
 
     handles = [
         Line2D([], [], color=blues[-1], label="Δp"),
@@ -169,14 +170,14 @@ def _legend(
                     markersize=5,
                     markerfacecolor=red,
                     markeredgecolor=red,
-                    label=text,
+                    label=legend_text(text),
                 )
             )
     if style:
         handles.append(heading(f"\n{axis_title(style)}"))
         for position, dash in zip(roles.shown[1], LINE_STYLES, strict=False):
             text = axis_value(dataset, style, position)
-            handles.append(Line2D([], [], color=GREY, linestyle=dash, label=text))
+            handles.append(Line2D([], [], color=GREY, linestyle=dash, label=legend_text(text)))
     return handles
 
 

@@ -12,6 +12,7 @@ import xarray as xr
 from demflow.sweep.report.html import escape
 from demflow.sweep.report.promises import promises
 from demflow.sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
+from demflow.sweep.store.durable import write_durably
 from demflow.sweep.study.load import Study
 
 __all__ = ["write_report"]
@@ -48,7 +49,5 @@ def write_report(
         study_text=escape(study.text),
     )
     path = Path(results_dir) / "report.html"
-    aside = path.with_suffix(".html.partial")
-    aside.write_text(page, encoding="utf-8")
-    aside.replace(path)
+    write_durably(path, page.encode())
     return path

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from demflow.sweep.analysis.cases import (
 )
 from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.report.html import data_uri, escape, grid
+from demflow.sweep.store.written import ours
 from demflow.sweep.study.load import Study
 
 MOST_FAILURES = 50  # listed one by one
@@ -174,9 +176,9 @@ def figures(paths: Sequence[Path]) -> str:
 def _figure(path: Path) -> str:
     with Image.open(path) as image:
         caption = str(image.info.get("Description", path.stem.replace("_", " ")))
-    tables = "".join(
-        _csv_table(beside) for beside in sorted(path.parent.glob(f"{path.stem}_*.csv"))
-    )
+    own = re.compile(rf"{re.escape(path.stem)}_\w+\.csv")
+    beside = sorted(table for table in ours(path.parent) if own.fullmatch(table.name))
+    tables = "".join(map(_csv_table, beside))
     return (
         f"<figure><img src='{data_uri(path)}' alt='{escape(caption)}'>"
         f"<figcaption>{escape(caption)}</figcaption></figure>{tables}"

@@ -71,7 +71,7 @@ def test_a_second_run_computes_nothing(ran, monkeypatch):
 
 def test_figures_and_report_are_drawn(ran):
     study, dataset, folder = ran
-    figures = write_figures(dataset, folder, study)
+    figures = write_figures(dataset, folder, study).paths
     assert figures
     assert all(path.stat().st_size > 5_000 for path in figures)
     page = write_report(dataset, folder, study, figures)

@@ -45,7 +45,7 @@ def made(tmp_path, monkeypatch):
         monkeypatch.setattr(
             figures, "open_case", lambda folder, **at: invented_maps(study, (0,) * len(at), 2.4)
         )
-        paths = figures.write_figures(dataset, tmp_path, study) if draw else []
+        paths = figures.write_figures(dataset, tmp_path, study).paths if draw else []
         path = write_report(dataset, tmp_path, study, paths)
         assert path == tmp_path / "report.html"
         return Page(path.read_text(encoding="utf-8")), dataset, study
