@@ -67,6 +67,9 @@ class Stage:
     reads: Mapping[str, Callable[[Scene], Any]]  # keyword argument -> the part of the scene
     wanted: Callable[[Scene], bool]  # whether a scene needs this stage
     product: type  # the NamedTuple it returns, or dict
+    # of a stage that marches, one of its own parents: what each of its runs is to do, and takes
+    # as `leg`, beside the product of the run before (None at first)
+    legs: Callable[[Scene], tuple[Any, ...]] | None = None
 
     @property
     def run(self) -> Callable[..., Any]:
@@ -74,6 +77,15 @@ class Stage:
         module, _, name = self.function.partition(":")
         function: Callable[..., Any] = getattr(import_module(module), name)
         return function
+
+    def legs_of(self, scene: Scene) -> tuple[Any, ...]:
+        """The legs of a march, in order; of any other stage one, which is nothing."""
+        return (None,) if self.legs is None else self.legs(scene)
+
+    def given(self, scene: Scene, leg: int = 0) -> dict[str, Any]:
+        """The keyword arguments of its run for a scene, or of one of them by its number."""
+        parts = {name: part(scene) for name, part in self.reads.items()}
+        return parts if self.legs is None else {**parts, "leg": self.legs(scene)[leg]}
 
 
 def __getattr__(name: str) -> Any:
@@ -289,9 +301,9 @@ def run_stages(scene: Scene) -> dict[str, Any]:
     products: dict[str, Any] = {}
     for stage in STAGES:
         if stage.wanted(scene):
-            parents = [products.get(name) for name in stage.parents]
-            parts = {name: part(scene) for name, part in stage.reads.items()}
-            products[stage.name] = stage.run(*parents, **parts)
+            for leg in range(len(stage.legs_of(scene))):
+                parents = [products.get(name) for name in stage.parents]
+                products[stage.name] = stage.run(*parents, **stage.given(scene, leg))
     return products
 
 

@@ -85,7 +85,7 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
     scene = case_at(study, index).scene
     plan = make_plan([scene], stage_table(table))
     products: dict[str, Any] = {}
-    for run in plan.runs:
+    for run in (plan.runs[last] for last in plan.cases[0] if last >= 0):
         stage = plan.stages[run.stage]
         try:
             products[stage.name] = build(stage.product, store.get(run.id).arrays)

@@ -42,18 +42,18 @@ class Source:
 
     def spent(self, case: int) -> dict[str, np.ndarray]:
         """Times of a case in s, under their names in `model.quantities.SWEEP`."""
-        times = np.full((len(self.plan.stages), 2), np.nan)
-        caused = np.zeros(len(self.plan.stages), dtype=bool)
+        times, caused = np.full((len(self.plan.stages), 2), np.nan), [0.0]
         for row in self.rows:
-            run = int(self.plan.cases[case, row])
-            if run >= 0:
+            legs = self.plan.legs_to(int(self.plan.cases[case, row]))
+            for number, run in enumerate(legs):
                 if not self.met[run]:
                     self._look_up(run)
-                times[row] = self.times[run]
-                caused[row] = self.plan.runs[run].case == case
+                times[row] = self.times[run] + (times[row] if number else 0.0)
+                if self.plan.runs[run].case == case:
+                    caused.append(self.times[run, 0])
         solver = [row for row in self.rows if self.plan.stages[row].name == "flow"]
         return {
-            "compute_time": np.nansum(times[caused, 0]),
+            "compute_time": np.nansum(caused),
             "stage_time": times[self.rows, 0],
             "solver_time": times[solver, 1].sum() if solver else np.asarray(math.nan),
         }

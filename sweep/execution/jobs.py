@@ -87,8 +87,7 @@ class Jobs:
 
     def _task(self, run: int) -> Task:
         entry, stage = self.plan.runs[run], self.plan.stage_of(run)
-        scene = self.scene_of(entry.case)
-        reads = {name: read(scene) for name, read in stage.reads.items()}
+        reads = stage.given(self.scene_of(entry.case), entry.leg)
         parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
         return Task(run, entry.id, stage.name, reads, parents)
 

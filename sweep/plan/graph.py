@@ -34,14 +34,18 @@ SIZE_STEP = 0.1  # in the logarithm: sizes closer than that cost the same
 def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
     """Return the table of stages at `module:name`, in an order in which parents come first.
 
-    Raises ValueError where a stage names a parent that does not stand before it.
+    Raises ValueError where a stage names a parent that does not stand before it, unless it is its
+    own, as that of a march is.
     """
     module, _, name = reference.partition(":")
     stages: tuple[Stage, ...] = tuple(getattr(importlib.import_module(module), name))
     earlier: set[str] = set()
     for stage in stages:
-        if missing := [parent for parent in stage.parents if parent not in earlier]:
+        known = earlier if stage.legs is None else {*earlier, stage.name}
+        if missing := [parent for parent in stage.parents if parent not in known]:
             raise ValueError(f"{reference}: {stage.name} stands before its parent {missing[0]}")
+        if stage.legs is not None and stage.name not in stage.parents:
+            raise ValueError(f"{reference}: {stage.name} has legs and is no parent of its own")
         earlier.add(stage.name)
     return stages
 
@@ -90,6 +94,7 @@ class StageRun(NamedTuple):
     parents: tuple[int, ...]  # runs whose products it takes, −1 for a stage that is not run
     case: int  # the first case that wants it
     kind: CostClass
+    leg: int = 0  # which one of a march; each has the one before among its parents
 
 
 @dataclass(frozen=True)
@@ -98,12 +103,23 @@ class Plan:
 
     stages: tuple[Stage, ...]
     runs: list[StageRun]
-    cases: np.ndarray  # (cases, stages) int32: index of the run, −1 where the stage is not run
+    # (cases, stages) int32: index of the run, of a march the last one, −1 where it is not run
+    cases: np.ndarray
     impossible: dict[int, str] = field(default_factory=dict)  # cases without a scene, and why
 
     def case_runs(self, case: int) -> list[int]:
         """Indices of the runs that a case is made of, parents first."""
-        return [int(run) for run in self.cases[case] if run >= 0]
+        return [run for last in self.cases[case].tolist() for run in self.legs_to(last)]
+
+    def legs_to(self, last: int) -> list[int]:
+        """A run after those of its stage that it goes on from, the first leg first; −1: none."""
+        if last < 0:
+            return []
+        legs, own = [last], self.runs[last].stage
+        while self.runs[legs[-1]].leg > 0:
+            parents = self.runs[legs[-1]].parents
+            legs.append(next(p for p in parents if p >= 0 and self.runs[p].stage == own))
+        return legs[::-1]
 
     def stage_of(self, run: int) -> Stage:
         """The row of the table that a run belongs to."""
@@ -114,8 +130,10 @@ class Plan:
         return np.bincount([run.stage for run in self.runs], minlength=len(self.stages))
 
     def wanted(self) -> np.ndarray:
-        """Number of cases that want each stage, shape (stages,)."""
-        return np.count_nonzero(self.cases >= 0, axis=0)
+        """Number of runs of each stage if no case shared any, shape (stages,)."""
+        each = np.array([*(run.leg + 1 for run in self.runs), 0])
+        total: np.ndarray = each[self.cases].sum(axis=0)  # −1: the last one
+        return total
 
     def to_run(self, stored: np.ndarray, failed: np.ndarray) -> np.ndarray:
         """Which runs are left where some are stored and some are known to fail, (runs,) bool.
@@ -142,7 +160,8 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
     """Return the plan of the cases whose scenes are given, in their order.
 
     A stage runs where its `wanted` says so; its parents are passed over where theirs
-    says no. An error in the place of a scene makes a case of which nothing is run.
+    says no. A march runs once a leg; cases that begin alike share their first legs. An error in
+    the place of a scene makes a case of which nothing is run.
     """
     row = {stage.name: k for k, stage in enumerate(stages)}
     parent_rows = [[row[name] for name in stage.parents] for stage in stages]
@@ -161,17 +180,22 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
         for k, stage in enumerate(stages):
             if not stage.wanted(scene):
                 continue
-            parents = tuple(int(own[p]) for p in parent_rows[k])
-            parent_ids = {
-                name: runs[p].id if p >= 0 else None
-                for name, p in zip(stage.parents, parents, strict=True)
-            }
-            identity = product_id(stage.name, stage.version, readers[k](scene), parent_ids)
-            run = index.setdefault(identity, len(runs))
-            if run == len(runs):
-                kind = CostClass.of(stage, scene)
-                runs.append(StageRun(identity, k, parents, number, kinds.setdefault(kind, kind)))
-            own[k] = run
+            reads = readers[k](scene)
+            for leg, part in enumerate(stage.legs_of(scene)):
+                if stage.legs is not None:
+                    reads["leg"] = encode(part)
+                parents = tuple(int(own[p]) for p in parent_rows[k])
+                parent_ids = {
+                    name: runs[p].id if p >= 0 else None
+                    for name, p in zip(stage.parents, parents, strict=True)
+                }
+                identity = product_id(stage.name, stage.version, reads, parent_ids)
+                run = index.setdefault(identity, len(runs))
+                if run == len(runs):
+                    kind = CostClass.of(stage, scene)
+                    kind = kinds.setdefault(kind, kind)
+                    runs.append(StageRun(identity, k, parents, number, kind, leg))
+                own[k] = run
     table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))
     return Plan(stages, runs, table, impossible)
 

@@ -93,9 +93,9 @@ def _same_products(store: Store, plan: Plan, told: Mapping[str, Any]) -> dict[st
     for row, stage in enumerate(plan.stages):
         if stage.name in noted:
             case, made = noted[stage.name]
-            run = int(now.cases[numbers.index(case), row])
-            if run >= 0:
-                same[stage.name] = now.runs[run].id == made
+            runs = now.legs_to(int(now.cases[numbers.index(case), row]))
+            if runs:
+                same[stage.name] = now.runs[runs[0]].id == made
     return same
 
 

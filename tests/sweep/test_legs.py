@@ -1,0 +1,198 @@
+"""Stages that march leg by leg: shared beginnings, growth, deaths, and the same bits as at once."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from demflow.model import stages as model_stages
+from demflow.model.outcome import Status
+from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
+from demflow.model.stages import run_stages, simulate
+from demflow.sweep import engine
+from demflow.sweep.command.forecast import forecast
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.prepared import prepare
+from tests.sweep import marches
+from tests.sweep.toy_stages import DIARY
+from tests.sweep.toy_stages import pack as toy_pack
+
+TEXT = """
+study: marched
+title: Marched
+scene:
+  region: {{shape: rectangle, width: 14 m, height: 14 m}}
+  grains: {{count: 50, porosity: 0.17, seed: 1}}
+  matrix: {{permeability: 1 mD}}
+  fluid: {{viscosity: {seconds} Pa s, bulk_modulus: 1 GPa}}
+  wells: {{producer: {{at: [0 m, 0 m], radius: 1 m, schedule: [[0 s, 1 m3/s]]}}}}
+  boundaries: {{left: 7 MPa}}
+  initial_pressure: 7 MPa
+  times: [1 s, 5 s, 15 s, 25 s, {last} s]
+vary:
+  schedule:
+    parameter: wells.producer.schedule
+    values:
+{schedules}
+observe: [well_pressure]
+"""
+STEPS = {  # rates from 0, 10 and 20 s on
+    "a": (1.0, 2.0, 3.0),
+    "b": (1.0, 2.0, 0.0),
+    "c": (1.0, 4.0, 0.0),
+    "d": (1.0, 4.0, 5.0),
+}
+BEGINNINGS = {rates[:k] for rates in STEPS.values() for k in (1, 2, 3)}
+
+
+def write(folder: Path, steps=STEPS, last: float = 30.0, seconds: float = 1e-6) -> Path:
+    def schedule(rates):
+        return ", ".join(f"[{10 * k} s, {rate} m3/s]" for k, rate in enumerate(rates))
+
+    lines = "\n".join(f"      - [{schedule(rates)}]" for rates in steps.values())
+    path = folder / "marched.yaml"
+    path.write_text(TEXT.format(schedules=lines, last=last, seconds=seconds))
+    return path
+
+
+def run(path: Path, table: str = marches.TOY, **options) -> engine.Finished:
+    results = path.parent / "results"
+    return engine.run_study(path, results=results, figures=False, table=table, **options)
+
+
+def test_schedules_share_what_they_begin_with(tmp_path):
+    path = write(tmp_path)
+    made = prepare(path, tmp_path / "results", table=marches.TOY)
+    runs = Counter(made.plan.stage_of(run).name for run in range(len(made.plan.runs)))
+    assert runs == {"pack": 1, "march": len(BEGINNINGS), "observe": len(STEPS)}
+    assert len(BEGINNINGS) == 7
+    for case in range(len(STEPS)):
+        names = [made.plan.stage_of(run).name for run in made.plan.case_runs(case)]
+        assert names == ["pack", "march", "march", "march", "observe"]
+        assert [made.plan.runs[run].leg for run in made.plan.case_runs(case)] == [0, 0, 1, 2, 0]
+    told = {stage["name"]: stage for stage in forecast(made, 2)["stages"]}
+    assert (told["march"]["runs"], told["march"]["shared"]) == (7, 3 * len(STEPS) - 7)
+
+
+@pytest.fixture(scope="module")
+def marched(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("marched")
+    path = write(folder)
+    return path, run(path)
+
+
+def test_what_marches_by_legs_is_what_is_superposed(marched):
+    """Whatever is shared, each case is its own schedule; and the legs bear no trace of it."""
+    path, finished = marched
+    assert (finished.failed, finished.executed.computed) == (0, 1 + 7 + 4)
+    seen = open_results(finished.folder)
+    packed = toy_pack(count=50, seed=1)
+    for case, rates in enumerate(STEPS.values()):
+        steps = [(10.0 * k, rate) for k, rate in enumerate(rates)]
+        exact = marches.toy_result(packed, steps, seen.elapsed_time.values)
+        np.testing.assert_allclose(seen.well_pressure[case, 0], exact, rtol=1e-12, atol=1e-12)
+
+
+def test_what_is_stored_serves_a_later_end_and_a_further_change(tmp_path):
+    """A last time that grows costs the last leg anew, a further change of a rate one more."""
+    first = run(write(tmp_path, {"a": (1.0, 2.0)}))
+    assert first.executed.computed == 1 + 2 + 1
+    further = run(write(tmp_path, {"a": (1.0, 2.0, 3.0)}))
+    assert further.executed.computed == 2 + 1  # the second leg ends at the third rate now
+    later = run(write(tmp_path, {"a": (1.0, 2.0, 3.0)}, last=40.0))
+    assert later.executed.computed == 1 + 1
+    assert run(write(tmp_path, {"a": (1.0, 2.0, 3.0)}, last=40.0)).executed is None
+
+
+def test_a_killed_worker_loses_no_finished_leg(tmp_path, monkeypatch):
+    """The leg under which it died is run again, those before it are not; the bits are the same."""
+    diary = tmp_path / "diary"
+    monkeypatch.setenv(DIARY, str(diary))
+    steps = {"a": (1.0, marches.DIES_ONCE, 3.0), "b": (1.0, marches.DIES_ONCE, 4.0)}
+    path = write(tmp_path, steps, seconds=0.3)
+    finished = run(path, workers=1)
+    assert (finished.failed, finished.executed.deaths) == (0, 1)
+    begun = Counter(line for line in diary.read_text().splitlines() if line.startswith("begins"))
+    again = f"begins 10 {marches.DIES_ONCE:g}"
+    assert begun.pop(again) == 2
+    assert begun == {"begins 0 1": 1, "begins 20 3": 1, "begins 20 4": 1}
+    calm = write(tmp_path, steps)
+    seen = open_results(finished.folder).load()
+    whole = open_results(
+        engine.run_study(
+            calm, results=tmp_path / "undisturbed", figures=False, table=marches.TOY
+        ).folder
+    )
+    np.testing.assert_array_equal(seen.well_pressure, whole.well_pressure)
+
+
+def test_a_leg_that_fails_is_told_with_what_was_finished_before_it(tmp_path):
+    steps = {"a": (1.0, 2.0, marches.RAISES), "b": (1.0, marches.RAISES, 3.0), "c": (1.0, 2.0, 3.0)}
+    path = write(tmp_path, steps)
+    finished = run(path)
+    seen = open_results(finished.folder)
+    assert seen.status.values.tolist() == [Status.FAILED, Status.FAILED, Status.DONE]
+    assert all("march: ValueError: the well is dry" in str(m) for m in seen.message.values[:2])
+    made = prepare(path, tmp_path / "results", table=marches.TOY)
+    there = [[bool(made.stored()[run]) for run in made.plan.case_runs(case)] for case in range(3)]
+    assert there == [
+        [True, True, True, False, False],
+        [True, True, False, False, False],
+        [True] * 5,
+    ]
+    assert run(path).executed is None  # known to fail, tried again only where that is asked for
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"parents": ("pack",)}, "march has legs and is no parent of its own"),
+        ({"legs": None}, "march stands before its parent march"),
+    ],
+)
+def test_a_march_is_its_own_parent(monkeypatch, change, message):
+    pack, march, observe = marches.TOY_STAGES
+    table = (pack, dataclasses.replace(march, **change), observe)
+    monkeypatch.setattr(marches, "TOY_STAGES", table)
+    with pytest.raises(ValueError, match=message):
+        stage_table(marches.TOY)
+
+
+def scene(*steps: tuple[float, float]) -> Scene:
+    return Scene(
+        region=Circle(1.0),
+        grains=Grains(count=200, packing="hexagonal"),
+        matrix=Matrix(aperture=1e-5),
+        fluid=Fluid(1e-3, 1e9),
+        wells=(
+            Well(name="w", at=(0.1, 0.2), radius=0.15, schedule=steps),
+            Well(name="v", at=(-0.4, -0.3), radius=0.15, rate=1e-6),
+        ),
+        boundaries=(("outer", 7e6),),
+        initial_pressure=7e6,
+        times=(1.0, 10.0, 50.0, 300.0, 1000.0),
+        observe=("well_pressure",),
+    )
+
+
+def test_a_march_through_the_rates_of_a_network_is_what_the_model_superposes(monkeypatch):
+    one = scene((0.0, 1e-6), (20.0, -2e-6), (200.0, 5e-7))
+    monkeypatch.setattr(model_stages, "STAGES", marches.RATE_STAGES)
+    marched = run_stages(one)["observe"]["well_pressure"]
+    monkeypatch.undo()
+    exact = simulate(dataclasses.replace(one, solver=Solver(tolerance=1e-9)))["well_pressure"]
+    assert np.ptp(exact) > 1e3
+    np.testing.assert_allclose(marched, exact, atol=1e-6 * np.ptp(exact), rtol=0)
+    other = scene((0.0, 1e-6), (20.0, -2e-6), (250.0, 0.0))
+    plan = make_plan([one, other], marches.RATE_STAGES)
+    shared = [a == b for a, b in zip(plan.case_runs(0), plan.case_runs(1), strict=True)]
+    names = [plan.stage_of(run).name for run in plan.case_runs(0)]
+    # the second leg ends where the third begins
+    assert shared == [name in ("pack", "network", "open") for name in names[:3]] + [
+        True, False, False, False
+    ]  # fmt: skip
