@@ -165,6 +165,13 @@ class _Files(caching.IndexDataCacheFile):
         with self._turn():
             super().save(key, data)
 
+    def _load_index(self) -> Any:
+        """What was compiled for which types; nothing where some are not of this version."""
+        try:
+            return super()._load_index()
+        except (ImportError, AttributeError):  # of a module or a name that is gone, or yet to come
+            return {}
+
     @contextmanager
     def _turn(self) -> Iterator[None]:
         os.makedirs(self._cache_path, exist_ok=True)

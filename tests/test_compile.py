@@ -6,6 +6,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 MODEL = Path(__file__).parents[1] / "model"
 
 LAW = """
@@ -161,6 +163,25 @@ def test_the_order_of_the_fields_that_are_passed_counts(tmp_path):
     assert answer(code, tmp_path, environment) == "21\n"
     (tmp_path / "pair.py").write_text(PAIR.replace("a: int; b: int", "b: int; a: int"))
     assert answer(code, tmp_path, environment) == "12\n"
+
+
+@pytest.mark.parametrize("gone", ["the module", "the name"])
+def test_types_that_another_version_passed_are_in_nobody_s_way(tmp_path, gone):
+    """A kernel may have been compiled for types that this version has not got."""
+    environment = small_model(tmp_path)
+    pair = tmp_path / "pair.py"
+    pair.write_text(PAIR)
+    law = LAW.replace("2 * x", "2 * x[0]")
+    (tmp_path / "demflow" / "model" / "law.py").write_text(law)
+    code = "from demflow.model.caller import caller; print(caller((1.5,)))"
+    other = "from pair import Pair; from demflow.model.caller import caller; caller(Pair(1, 2))"
+    assert compiled(other, tmp_path, environment) > 0
+    if gone == "the module":
+        pair.unlink()
+    else:
+        pair.write_text(PAIR.replace("Pair", "Couple"))
+    assert answer(code, tmp_path, environment) == "3.0\n"
+    assert answer(code, tmp_path, environment) == "3.0\n"
 
 
 def test_a_folder_that_others_can_write_holds_no_kernels(tmp_path):
