@@ -253,7 +253,7 @@ STAGES: tuple[Stage, ...] = (
         version=2,
         parents=("network", "open"),
         reads={"viscosity": _viscosity},
-        wanted=lambda s: "permeability" in s.observe,
+        wanted=lambda s: s.needs("measure"),
         product=Permeability,
     ),
     Stage(
@@ -277,7 +277,7 @@ STAGES: tuple[Stage, ...] = (
             "safety_factor": lambda s: 1.0,
             "step": lambda s: "corrected",
         },
-        wanted=lambda s: s.flows and "time_error" in s.observe and s.method != "steady",
+        wanted=lambda s: s.needs("reference") and s.method != "steady",
         product=Responses,
     ),
     Stage(

@@ -45,7 +45,7 @@ SCENE = Scene(
     grains=GRAINS,
     matrix=Matrix(permeability=1e-14, half_force=5e6),
     fluid=Fluid(1e-3, 1e9),
-    observe=OBSERVABLES,
+    observe=tuple(OBSERVABLES),
     bonds=BONDS,
     stress=Stress(1.2e7, 1e7),
     test=TEST,
@@ -114,6 +114,15 @@ def test_parents_come_first():
     assert len(set(names)) == len(names)
     for k, stage in enumerate(STAGES):
         assert set(stage.parents) <= set(names[:k])
+
+
+@pytest.mark.parametrize("name", OBSERVABLES)
+def test_an_output_runs_the_stages_that_it_needs_and_no_flow_or_test_besides(name):
+    scene = changed(observe=(name,))
+    run = {stage.name for stage in STAGES if stage.wanted(scene)}
+    assert set(OBSERVABLES[name]) | {"pack", "observe"} <= run
+    always = {"pack", "unit_loads", "stress", "calibrate", "observe"}  # or as the scene has it
+    assert run - always == set(OBSERVABLES[name])
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)

@@ -25,20 +25,23 @@ from demflow.model.scene.rock import Bonds, FailureTest, Grains, Stress, loading
 
 __all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "Scene"]
 
-OBSERVABLES = (
-    "well_pressure",
-    "permeability",
-    "pressure_map",
-    "boundary_flow",
-    "probe_pressure",
-    "grain_map",
-    "time_error",
-    "youngs_modulus",
-    "poissons_ratio",
-    "peak_strength",
-    "crack_count",
-)
-MEASURED_BY_A_TEST = ("youngs_modulus", "poissons_ratio", "peak_strength", "crack_count")
+_PORES = ("network", "open")  # pores and their pipes
+
+# What can be observed, and the stages beside the packing that it needs: what decides what is run.
+OBSERVABLES: dict[str, tuple[str, ...]] = {
+    "well_pressure": (*_PORES, "flow"),
+    "permeability": (*_PORES, "measure"),
+    "pressure_map": (*_PORES, "flow"),
+    "boundary_flow": (*_PORES, "flow"),
+    "probe_pressure": (*_PORES, "flow"),
+    "grain_map": _PORES,
+    "time_error": (*_PORES, "flow", "reference"),
+    "youngs_modulus": ("strength",),
+    "poissons_ratio": ("strength",),
+    "peak_strength": ("strength",),
+    "crack_count": ("strength",),
+}
+MEASURED_BY_A_TEST = tuple(name for name, stages in OBSERVABLES.items() if "strength" in stages)
 
 # Outputs, and the part of the scene without which there is nothing to observe.
 _OBSERVED = {
@@ -116,24 +119,24 @@ class Scene:
         given = self.initial_pressure
         return None if isinstance(given, InitialField | str) else given
 
+    def needs(self, stage: str) -> bool:
+        """Whether an output is wanted that needs a stage."""
+        return any(stage in OBSERVABLES.get(name, ()) for name in self.observe)
+
     @property
     def flows(self) -> bool:
         """Whether an output is wanted that needs the pressure field of the wells."""
-        return any(
-            name in self.observe
-            for name in OBSERVABLES
-            if name not in ("permeability", "grain_map", *MEASURED_BY_A_TEST)
-        )
+        return self.needs("flow")
 
     @property
     def tests(self) -> bool:
         """Whether an output is wanted that a test to failure gives."""
-        return any(name in self.observe for name in MEASURED_BY_A_TEST)
+        return self.needs("strength")
 
     @property
     def porous(self) -> bool:
         """Whether an output is wanted that needs the pores and their pipes."""
-        return any(name not in MEASURED_BY_A_TEST for name in self.observe)
+        return self.needs("network")
 
     @property
     def transient(self) -> bool:

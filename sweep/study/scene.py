@@ -219,7 +219,7 @@ def _scene() -> Block:
         "boundaries": Named(Parameter(pressure, float, optional=False)),
         "probes": Named(ProbeForms(block_of(Probe), block_of(ProbeLine))),
         "times": Times(Parameter(time, tuple[float, ...], optional=False), block_of(LogTimes)),
-        "observe": Words(OBSERVABLES),
+        "observe": Words(tuple(OBSERVABLES)),
     }
     return block_of(Scene, special, WORDS)
 
