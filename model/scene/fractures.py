@@ -7,15 +7,20 @@ from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Region, clip_segments
+from demflow.model.scene.distributions import Angle, Aperture, Length, LogNormal
+from demflow.model.scene.random_sets import expected, segments, window_problems
 from demflow.model.scene.rock import FailureTest, Stress
 from demflow.model.scene.topology import polyline_problems
+from demflow.model.scene.trace_maps import LaidMap, MapFile, lay, pieces
 
 __all__ = [
     "BiWing",
     "Fracture",
     "FractureSet",
     "Joint",
+    "RandomSet",
     "Trace",
+    "TraceMap",
     "fracture_problems",
     "joint_problems",
 ]
@@ -63,8 +68,11 @@ class _FractureProperties:
     permeability: float | None = parameter(
         "m2", default=None, above=0, help="permeability of a medium with the fracture's aperture"
     )
-    aperture: float | None = parameter(
-        "m", default=None, above=0, help="hydraulic aperture; transmissivity w³ / (12 μ)"
+    aperture: Aperture | None = parameter(
+        "m",
+        default=None,
+        above=0,
+        help="hydraulic aperture; transmissivity w³ / (12 μ). One number, or a law by trace",
     )
     transmissibility_multiplier: float | None = parameter(
         default=None, at_least=0, at_most=1, help="barrier: fraction of the flow that it lets cross"
@@ -86,6 +94,8 @@ class _FractureProperties:
         return any(value is not None for value in given)
 
     def _problems(self) -> list[tuple[str, str]]:
+        if isinstance(self.aperture, LogNormal) and not isinstance(self, RandomSet | TraceMap):
+            return [("aperture", "it is drawn for random sets and maps only; give one number")]
         given = [
             key
             for key in ("permeability", "aperture", "transmissibility_multiplier")
@@ -176,26 +186,161 @@ class Trace(_FractureProperties):
         return self.vertices or ()
 
 
-Fracture = BiWing | FractureSet | Trace
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RandomSet(_FractureProperties):
+    """Straight fractures drawn at random, as many as an intensity, a density or a count says.
+
+    Length and angle are one number or a law; `random_sets.segments` says how they are drawn.
+    """
+
+    seed: int = parameter(default=1, at_least=0, help="seed of all that is drawn")
+    intensity: float | None = parameter(
+        "1/m", default=None, above=0, help="length of fractures per area, P21"
+    )
+    density: float | None = parameter(
+        "1/m2", default=None, above=0, help="centres of fractures per area, P20"
+    )
+    count: int | None = parameter(
+        default=None, at_least=0, at_most=MOST_TRACES, help="fractures with centres in the region"
+    )
+    length: Length = parameter("m", above=0, help="length of each fracture, or a law of them")
+    angle: Angle = parameter(
+        "rad", help="angle from the x axis, counter-clockwise, or a law of the angles"
+    )
+    least_spacing: float | None = parameter(
+        "m", default=None, above=0, help="least distance between the centres of two fractures"
+    )
+    within: float | None = parameter(
+        "m",
+        default=None,
+        above=0,
+        help="radius around the origin in which the set is drawn, so that regions of several "
+        "sizes cut the same set; default: around the region",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        problems = self._problems()
+        given = [key for key in ("intensity", "density", "count") if getattr(self, key) is not None]
+        if len(given) != 1:
+            what = "give exactly one of intensity, density, count"
+            problems.append((given[0] if given else "", what))
+        if self.count is not None and self.within is not None:
+            problems.append(("within", "count is of the region alone; give a density instead"))
+        if problems:
+            raise SceneError(problems)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TraceMap(_FractureProperties):
+    """Traces as somebody mapped them, from a file."""
+
+    file: MapFile = parameter(help="traces: GeoJSON, shapefile, CSV or FracPaQ text")
+    area: MapFile | None = parameter(default=None, help="file of the mapped area's outline")
+    unit: float | None = parameter(
+        "m",
+        default=None,
+        above=0,
+        help="length of one unit of the file's coordinates; default: 1 m, or what the file says",
+    )
+    origin: str | tuple[float, float] = parameter(
+        "m",
+        default="file",
+        help="where the scene's origin lies: file (its own), centroid, or a point of the map",
+    )
+    crop: float | None = parameter(
+        "m", default=None, above=0, help="side of the square around the origin that is kept"
+    )
+    simplify: float | None = parameter(
+        "m", default=None, above=0, help="how far vertices that are left out may lie beside"
+    )
+    snap: float | None = parameter(
+        "m", default=None, above=0, help="ends that near to another trace are joined to it"
+    )
+    seed: int | None = parameter(
+        default=None, at_least=0, help="seed of apertures that are drawn; 1"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        problems = self._problems()
+        if self.unit is None and self.file.unit is None:
+            what = "the map may be in degrees: it names no reference system and its coordinates "
+            what += "would be such; project it to metres, or say unit: 1 m where it is in metres"
+            raise SceneError([*problems, ("unit", what)])
+        try:
+            laid = self.laid
+        except SceneError as error:
+            problems += error.problems
+        else:
+            if len(laid.first) - 1 > MOST_TRACES:
+                problems.append(("file", f"more than {MOST_TRACES} traces; crop the map"))
+        if problems:
+            raise SceneError(problems)
+
+    @property
+    def laid(self) -> LaidMap:
+        """The map in the coordinates of the scene. Raises SceneError where it has faults."""
+        unit = self.file.unit if self.unit is None else self.unit
+        if unit is None:
+            raise SceneError([("unit", "the unit of the map is not known")])
+        return lay(self.file, self.area, unit, self.origin, self.crop, self.simplify, self.snap)
+
+
+Fracture = BiWing | FractureSet | RandomSet | Trace | TraceMap
 
 
 def fracture_problems(fractures: tuple[Fracture, ...], region: Region) -> Problems:
     """What is wrong with where fractures lie."""
     for fracture in fractures:
-        path = f"fractures.{fracture.name}"
-        if isinstance(fracture, FractureSet):
-            gap = fracture.spacing if fracture.gap is None else fracture.gap
-            count = region.area / (fracture.spacing * (fracture.length + gap))
-            if count > MOST_TRACES:
-                what = f"about {count:.2g} fractures in the region, more than {MOST_TRACES}"
-                yield f"{path}.spacing", what
-        elif len(clip_segments(region, fracture.points[:-1], fracture.points[1:])[0]) == 0:
-            key = "vertices"
-            if isinstance(fracture, BiWing):
-                key = "at"
-            elif fracture.vertices is None:
-                key = "from"
-            yield f"{path}.{key}", "the fracture lies outside the region"
+        for key, what in _placement_problems(fracture, region):
+            yield f"fractures.{fracture.name}.{key}", what
+
+
+def _placement_problems(fracture: Fracture, region: Region) -> Problems:
+    if isinstance(fracture, FractureSet):
+        gap = fracture.spacing if fracture.gap is None else fracture.gap
+        count = region.area / (fracture.spacing * (fracture.length + gap))
+        if count > MOST_TRACES:
+            yield "spacing", f"about {count:.2g} fractures in the region, more than {MOST_TRACES}"
+    elif isinstance(fracture, RandomSet):
+        yield from _drawing_problems(fracture, region)
+    elif isinstance(fracture, TraceMap):
+        yield from _map_problems(fracture, region)
+    elif len(clip_segments(region, fracture.points[:-1], fracture.points[1:])[0]) == 0:
+        key = "vertices"
+        if isinstance(fracture, BiWing):
+            key = "at"
+        elif fracture.vertices is None:
+            key = "from"
+        yield key, "the fracture lies outside the region"
+
+
+def _drawing_problems(fracture: RandomSet, region: Region) -> Problems:
+    """What is wrong with a random set in a region; it is drawn to see whether it has room."""
+    yield from window_problems(fracture, region)
+    key = next(k for k in ("intensity", "density", "count") if getattr(fracture, k) is not None)
+    if not (count := expected(fracture, region)) <= MOST_TRACES:
+        yield key, f"about {count:.2g} fractures around the region, more than {MOST_TRACES}"
+    elif fracture.least_spacing is not None:
+        try:
+            segments(fracture, region)
+        except SceneError as error:
+            yield from error.problems
+
+
+def _map_problems(fracture: TraceMap, region: Region) -> Problems:
+    """What is wrong with where a map lies."""
+    laid = fracture.laid
+    _, a = pieces(laid.first)
+    if len(clip_segments(region, laid.vertices[a], laid.vertices[a + 1])[0]):
+        return
+    what = "no trace lies in the region; origin: centroid puts the map's centre there"
+    if len(laid.vertices):
+        (left, bottom), (right, top) = laid.vertices.min(axis=0), laid.vertices.max(axis=0)
+        what = f"({left:.7g}, {bottom:.7g}) to ({right:.7g}, {top:.7g}) m, so that {what}"
+        what = f"the map reaches from {what}"
+    yield "origin", what
 
 
 def joint_problems(

@@ -8,7 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.region import Region, bounding_box, clip_segments, contains
-from demflow.model.scene.fractures import Fracture, FractureSet, Joint
+from demflow.model.scene.distributions import apertures
+from demflow.model.scene.fractures import Fracture, FractureSet, Joint, RandomSet, TraceMap
+from demflow.model.scene.random_sets import segments, stream
+from demflow.model.scene.trace_maps import pieces
 
 __all__ = ["JointLine", "Line", "Polylines", "joint_lines", "lines_of", "polylines"]
 
@@ -55,10 +58,14 @@ class Polylines(NamedTuple):
     @property
     def pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Polyline (s,), start and end (s, 2) of each straight piece."""
-        count = np.diff(self.first)
-        owner = np.repeat(np.arange(len(count)), count)
-        inner = np.flatnonzero(owner[1:] == owner[:-1])
-        return owner[inner], self.vertices[inner], self.vertices[inner + 1]
+        owner, start = pieces(self.first)
+        return owner, self.vertices[start], self.vertices[start + 1]
+
+    @property
+    def length(self) -> np.ndarray:
+        """Length of each polyline, (m,) m."""
+        owner, start, end = self.pieces
+        return np.bincount(owner, np.hypot(*(end - start).T), minlength=len(self.first) - 1)
 
 
 def joint_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[JointLine, ...]:
@@ -103,17 +110,27 @@ def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
 
 
 def polylines(fracture: Fracture, region: Region) -> Polylines:
-    """The polylines of a fracture, before clipping."""
-    if isinstance(fracture, FractureSet):
-        points = _set_ends(fracture, region)
+    """The polylines of a fracture, before clipping, and the aperture of each.
+
+    An aperture that goes with the length of a trace goes with all of it, also what lies outside.
+    """
+    if isinstance(fracture, TraceMap):
+        points, first = fracture.laid.vertices, fracture.laid.first
+    elif isinstance(fracture, FractureSet | RandomSet):
+        if isinstance(fracture, FractureSet):
+            points = _set_ends(fracture, region)
+        else:
+            points = np.stack(segments(fracture, region), axis=1).reshape(-1, 2)
         first = np.arange(0, len(points) + 1, 2)
     else:
         points = np.array(fracture.points, dtype=float).reshape(-1, 2)
         first = np.array([0, len(points)])
-    aperture = fracture.aperture
-    return Polylines(
-        points, first, None if aperture is None else np.full(len(first) - 1, float(aperture))
-    )
+    drawn = Polylines(points, first, None)
+    if fracture.aperture is None:
+        return drawn
+    seed = getattr(fracture, "seed", None)
+    rng = stream(1 if seed is None else seed, "aperture")
+    return drawn._replace(aperture=apertures(fracture.aperture, rng, drawn.length))
 
 
 def _point(at: np.ndarray) -> tuple[float, float]:

@@ -30,6 +30,7 @@ from demflow.sweep.study.units import example, nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Scalar, Sequence
 
 KindWords = dict[type, tuple[str, str]]
+Specials = dict[type, dict[str, Section]]
 
 NAME = re.compile(r"\w[\w-]*")  # of a well, a fracture, a probe; dots belong to paths
 
@@ -114,7 +115,7 @@ class Block(Section):
     def paths(self, values: Any, path: str) -> Iterator[str]:
         """The paths of its members, without optional blocks that are not there."""
         for key, member in self.members.items():
-            if key in values or isinstance(member.section, Parameter):
+            if key in values or isinstance(member.section, Parameter | Law):
                 yield from member.section.paths(values.get(key), join(path, key))
 
     def stand_in(self) -> Any:
@@ -127,7 +128,7 @@ class OneOf(Section):
     """A block of several kinds; one of its keys (`shape`, `kind`) says which."""
 
     tag: str
-    blocks: dict[str, Block]
+    blocks: dict[str, Block | Forms]
 
     def read(self, node: Node, path: str, reading: Reading) -> Any:
         """Values by key, the tag included; None where the kind is not known."""
@@ -160,6 +161,96 @@ class OneOf(Section):
     def paths(self, values: Any, path: str) -> Iterator[str]:
         """The paths of the kind that is there."""
         yield from self.blocks[values[self.tag]].paths(values, path)
+
+
+FORM = "which of the forms"  # no key: it has spaces
+
+
+@dataclass(frozen=True)
+class Forms(Section):
+    """A block that can be written in several forms; the keys that are there say which."""
+
+    blocks: tuple[Block, ...]
+
+    def read(
+        self, node: Node, path: str, reading: Reading, also: tuple[str, ...] = ()
+    ) -> dict[str, Any]:
+        """Values by key, and the number of the form."""
+        keys = set(node.entries) if isinstance(node, Mapping) else set()
+        keys |= {one.removeprefix(f"{path}.").split(".")[0] for one in reading.supplied}
+        number = self._known(keys)[0]
+        return {FORM: number, **self.blocks[number].read(node, path, reading, also=also)}
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]], **more: Any) -> Any:
+        """The dataclass of that form."""
+        return self.blocks[values[FORM]].build(values, path, problems, **more)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter of the form that is there, or of one that its keys fit as well."""
+        for number in (values[FORM], *self._known(set(values))):
+            try:
+                return self.blocks[number].find(values, parts)
+            except NoParameter as reason:
+                if str(reason):
+                    raise
+        raise NoParameter
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of the form that is there."""
+        yield from self.blocks[values[FORM]].paths(values, path)
+
+    def _known(self, keys: set[str]) -> list[int]:
+        """The forms by how many of the keys they know, most first; then in their order."""
+        known = [len(keys & set(block.members)) for block in self.blocks]
+        return sorted(range(len(known)), key=lambda number: -known[number])
+
+
+@dataclass(frozen=True)
+class Law(Section):
+    """A number, or a law from which numbers are drawn; its first key says which law."""
+
+    number: Parameter
+    laws: dict[str, Block]  # by their first key
+
+    def read(self, node: Node, path: str, reading: Reading) -> Any:
+        """A number, or values by key."""
+        if not isinstance(node, Mapping):
+            return self.number.read(node, path, reading)
+        for key, block in self.laws.items():
+            if key in node.entries:
+                return block.read(node, path, reading)
+        forms = "; ".join(f"{{{', '.join(block.members)}}}" for block in self.laws.values())
+        reading.report(node.place, f"{where(path)} is a number, or a law with the keys {forms}", path)
+        return self.number.stand_in()
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
+        """The number or the law."""
+        block = self._law(values)
+        return values if block is None else block.build(values, path, problems)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The number as a whole, or a parameter of the law that is there."""
+        block = self._law(values)
+        if not parts or block is None:
+            return self.number.find(None, parts)
+        return block.find(values, parts)
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of the law that is there, or its own."""
+        block = self._law(values)
+        if block is None:
+            yield path
+        else:
+            yield from block.paths(values, path)
+
+    def stand_in(self) -> Any:
+        """Not a number."""
+        return self.number.stand_in()
+
+    def _law(self, values: Any) -> Block | None:
+        if not isinstance(values, dict):
+            return None
+        return next(block for key, block in self.laws.items() if key in values)
 
 
 @dataclass(frozen=True)
@@ -256,7 +347,10 @@ class Words(Section):
 
 
 def block_of(
-    cls: type, special: dict[str, Section] | None = None, words: KindWords | None = None
+    cls: type,
+    special: dict[str, Section] | None = None,
+    words: KindWords | None = None,
+    within: Specials | None = None,
 ) -> Block:
     """The grammar of a dataclass.
 
@@ -264,7 +358,9 @@ def block_of(
     ----------
     cls : the dataclass.
     special : sections of fields whose type does not say it all.
-    words : for the members of unions, the key that says which (`kind`) and its word.
+    words : for the members of unions, the key that says which (`kind`) and its word; members of
+        one word are forms of it.
+    within : `special` of dataclasses that stand in fields of this one.
     """
     hints = typing.get_type_hints(cls)
     members = {}
@@ -273,7 +369,7 @@ def block_of(
             continue
         key = declared.metadata.get("key") or declared.name
         section = (special or {}).get(declared.name) or _section(
-            declared, hints[declared.name], words or {}
+            declared, hints[declared.name], words or {}, within or {}
         )
         required = (
             declared.default is dataclasses.MISSING
@@ -283,17 +379,24 @@ def block_of(
     return Block(cls, members)
 
 
-def _section(declared: dataclasses.Field, hint: Any, words: KindWords) -> Section:
+def _section(
+    declared: dataclasses.Field, hint: Any, words: KindWords, within: Specials
+) -> Section:
     kinds = _alternatives(hint)
     optional = type(None) in kinds
     kinds = tuple(kind for kind in kinds if kind is not type(None))
     if all(dataclasses.is_dataclass(kind) for kind in kinds):
-        return _blocks(kinds, words)
+        return _blocks(kinds, words, within)
+    laws = [block_of(kind) for kind in kinds if dataclasses.is_dataclass(kind)]
+    if laws:
+        number = next(kind for kind in kinds if not dataclasses.is_dataclass(kind))
+        forms = {next(iter(block.members)): block for block in laws}
+        return Law(Parameter(declared, number, optional), forms)
     arguments = typing.get_args(kinds[0])
     if len(arguments) == 2 and arguments[1] is Ellipsis:
         inner = _alternatives(arguments[0])
         if all(dataclasses.is_dataclass(kind) for kind in inner):
-            return Named(_blocks(inner, words))
+            return Named(_blocks(inner, words, within))
     return Parameter(declared, kinds[0], optional)
 
 
@@ -304,11 +407,18 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _blocks(kinds: tuple[Any, ...], words: KindWords) -> Block | OneOf:
+def _blocks(kinds: tuple[Any, ...], words: KindWords, within: Specials) -> Block | OneOf:
+    blocks = [block_of(kind, within.get(kind), words, within) for kind in kinds]
     if len(kinds) == 1:
-        return block_of(kinds[0], words=words)
+        return blocks[0]
     (tag,) = {words[kind][0] for kind in kinds}
-    return OneOf(tag, {words[kind][1]: block_of(kind, words=words) for kind in kinds})
+    forms: dict[str, list[Block]] = {}
+    for kind, block in zip(kinds, blocks, strict=True):
+        forms.setdefault(words[kind][1], []).append(block)
+    return OneOf(
+        tag,
+        {word: one[0] if len(one) == 1 else Forms(tuple(one)) for word, one in forms.items()},
+    )
 
 
 def _unchecked(cls: type[Any], given: dict[str, Any]) -> Any:
@@ -322,6 +432,8 @@ def _unchecked(cls: type[Any], given: dict[str, Any]) -> Any:
 
 def _meant(section: Section) -> str:
     """What a missing key is for, with an example."""
+    if isinstance(section, Law):
+        return _meant(section.number)
     if isinstance(section, Parameter):
         if section.choices:
             return f" ({section.help}), one of {', '.join(section.choices)}"

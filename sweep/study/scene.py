@@ -7,10 +7,16 @@ pressure as a number, a field or a word. All the rest follows from the dataclass
 from __future__ import annotations
 
 import dataclasses
+import functools
+import hashlib
 import math
+import typing
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from demflow.model.parameters import SceneError, check_fields, parameter
 from demflow.model.scene import (
@@ -19,18 +25,24 @@ from demflow.model.scene import (
     Circle,
     FractureSet,
     InitialField,
+    MapFile,
     Polygon,
     Probe,
+    RandomSet,
     Rectangle,
     Scene,
     Trace,
+    TraceMap,
 )
-from demflow.sweep.study.blocks import Block, Named, Words, block_of
-from demflow.sweep.study.sections import NoParameter, Parameter, Reading, Section
+from demflow.sweep.study.blocks import Block, Named, Specials, Words, block_of
+from demflow.sweep.study.map_files import LARGEST_FILE, MapError, read_map
+from demflow.sweep.study.sections import NoParameter, Parameter, Reading, Section, shape
+from demflow.sweep.study.units import nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Scalar
 
 MOST_TIMES = 10_000  # output times of a case
 MOST_PROBES = 10_000  # probes on one line
+KEPT = "files"  # folder beside a kept study, with what it names
 
 # the word in a study file for each member of a union of dataclasses
 WORDS: dict[type, tuple[str, str]] = {
@@ -39,7 +51,9 @@ WORDS: dict[type, tuple[str, str]] = {
     Polygon: ("shape", "polygon"),
     BiWing: ("kind", "bi-wing"),
     FractureSet: ("kind", "set"),
+    RandomSet: ("kind", "set"),
     Trace: ("kind", "trace"),
+    TraceMap: ("kind", "traces"),
 }
 
 
@@ -196,6 +210,99 @@ class InitialForms(Section):
         return self.field if isinstance(values, Mapping | dict) else self.number
 
 
+@dataclass(frozen=True)
+class WordOr(Section):
+    """One of a few words, or a value."""
+
+    words: tuple[str, ...]
+    value: Parameter
+
+    def read(self, node: Node, path: str, reading: Reading) -> Any:
+        """The word, or the value."""
+        if isinstance(node, Scalar):
+            if node.text in self.words:
+                return node.text
+            like = nearest(node.text, self.words)
+            hint = f"did you mean '{like}'?" if like else f"valid are {', '.join(self.words)}"
+            example = shape(typing.get_args(self.value.type), self.value.unit)
+            reading.report(node.place, f"{path}: {hint} Or give {example}", path)
+            return self.words[0]
+        return self.value.read(node, path, reading)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter of the value."""
+        return self.value.find(None, parts)
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """Its own path."""
+        yield path
+
+
+@dataclass(frozen=True)
+class MapFiles(Section):
+    """A file with a map, its name relative to the study; or a kept copy beside the study."""
+
+    declared: dataclasses.Field
+    rings: bool
+
+    def read(self, node: Node, path: str, reading: Reading) -> Any:
+        """The content of the file, as arrays."""
+        try:
+            if not isinstance(node, Scalar):
+                raise MapError(["a file is named by its path relative to the study"])
+            files = _contents(node.text, reading)
+            return _read_once(tuple(files.items()), self.rings)
+        except (MapError, OSError) as error:
+            found = error.problems if isinstance(error, MapError) else [str(error.strerror)]
+            text = node.text if isinstance(node, Scalar) else "this"
+            for what in found:
+                reading.report(node.place, f"{path}: {text}: {what}", path)
+            # what else is wrong with a map that could not be read is not known
+            reading.unreadable.add(path.rpartition(".")[0])
+            return self.stand_in()
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """Never: maps are as they are."""
+        raise NoParameter("a file is no number; make scenes with other files variants")
+
+    def stand_in(self) -> Any:
+        """Two lines that meet every region."""
+        far = 1e9
+        cross = np.array([(-far, 0.0), (far, 0.0), (0.0, -far), (0.0, far)])
+        return MapFile(cross, np.array([0, 2, 4]), np.array([1, 2]), "")
+
+
+def _contents(text: str, reading: Reading) -> dict[str, bytes]:
+    """Content of a file that a study names, and of the .prj beside it, by their names."""
+    named = Path(text)
+    names = [named, named.with_suffix(".prj")] if named.suffix.lower() == ".shp" else [named]
+    files: dict[str, bytes] = {}
+    for name in names:
+        kept = kept_name(str(name))
+        path = reading.folder / kept
+        if not path.is_file():
+            path = reading.folder / name
+        if not path.is_file():
+            if name == named:
+                raise MapError([f"there is no such file in {reading.folder.resolve()}"])
+            continue
+        if path.stat().st_size > LARGEST_FILE:
+            raise MapError([f"it is larger than {LARGEST_FILE // 1_000_000} MB"])
+        files[name.name] = reading.files[kept] = path.read_bytes()
+    return files
+
+
+def kept_name(text: str) -> str:
+    """Where a copy of a file that a study names is kept beside the copy of the study."""
+    digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+    return f"{KEPT}/{digest}-{Path(text).name}"
+
+
+@functools.lru_cache(maxsize=16)
+def _read_once(files: tuple[tuple[str, bytes], ...], rings: bool) -> MapFile:
+    return read_map(dict(files), rings=rings)
+
+
 def spaced(first: float, last: float, count: int, *, log: bool) -> tuple[float, ...]:
     """Numbers from first to last, rounded so that 1e-5 is met where it is meant."""
     if count == 1:
@@ -221,7 +328,16 @@ def _scene() -> Block:
         "times": Times(Parameter(time, tuple[float, ...], optional=False), block_of(LogTimes)),
         "observe": Words(tuple(OBSERVABLES)),
     }
-    return block_of(Scene, special, WORDS)
+    mapped = {declared.name: declared for declared in dataclasses.fields(TraceMap)}
+    point = Parameter(mapped["origin"], tuple[float, float], optional=False)
+    within: Specials = {
+        TraceMap: {
+            "file": MapFiles(mapped["file"], rings=False),
+            "area": MapFiles(mapped["area"], rings=True),
+            "origin": WordOr(("centroid", "file"), point),
+        }
+    }
+    return block_of(Scene, special, WORDS, within)
 
 
 SCENE = _scene()

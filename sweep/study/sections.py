@@ -14,6 +14,7 @@ import typing
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from demflow.model.parameters import bound_problem
@@ -36,6 +37,8 @@ class Reading:
     problems: list[Problem] = field(default_factory=list)
     places: dict[str, Place] = field(default_factory=dict)  # where each path is written
     unreadable: set[str] = field(default_factory=set)  # paths that hold a stand-in
+    folder: Path = Path()  # what the study's file names are relative to
+    files: dict[str, bytes] = field(default_factory=dict)  # content of what it names, by kept name
 
     def report(self, place: Place, message: str, path: str | None = None) -> None:
         """Note a problem; `path` is the parameter that cannot be used because of it."""
