@@ -25,12 +25,14 @@ from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.plan.graph import MODEL
 from demflow.sweep.prepared import Project, prepare
-from demflow.sweep.store.durable import naming, write_durably
+from demflow.sweep.store.durable import naming
 from demflow.sweep.store.inherited import inherited, note
+from demflow.sweep.store.kept import keep_study
 from demflow.sweep.store.lock import FolderLock
 from demflow.sweep.store.products import StoreError
 from demflow.sweep.store.written import check_folder, is_whole, ours
 from demflow.sweep.study.expect import BOUNDED, beyond_bounds, ends_as_expected
+from demflow.sweep.study.sections import KEPT
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -41,7 +43,7 @@ if TYPE_CHECKING:
 REPORT_FILE, FIGURES = "report.html", "figures"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
 MARKS = {f"{DATASET_FILE}.sha256", UNFINISHED_FILE}  # nobody else has files of these names
-OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES} | MARKS
+OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES, KEPT} | MARKS
 COLLECTOR = 2  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
@@ -125,7 +127,7 @@ def run_study(
             prepared.folder.mkdir(exist_ok=True)
             _check_own(prepared)
             _remove_partial(prepared)
-            _keep(prepared, UNFINISHED_FILE)
+            keep_study(prepared.folder / UNFINISHED_FILE, prepared.study)
             if tell and (message := inherited(prepared.store, prepared.plan)):
                 tell(message)
             note(prepared.store, prepared.study, prepared.plan)
@@ -362,9 +364,11 @@ def _names(path: Path, study: str) -> bool:
 
 
 def _changed(prepared: Project) -> bool:
-    """Whether the study file was changed, or is gone, since it was read."""
+    """Whether the study file, or one that it names, was changed or is gone since it was read."""
     try:
-        return Path(prepared.study.path).read_bytes() != prepared.study.text.encode()
+        if Path(prepared.study.path).read_bytes() != prepared.study.text.encode():
+            return True
+        return any(file.path.read_bytes() != file.content for file in prepared.study.files.values())
     except OSError:
         return True
 
@@ -378,13 +382,6 @@ def _remove_partial(prepared: Project) -> None:
                 shutil.rmtree(left, ignore_errors=True)
             with suppress(OSError):
                 left.unlink()
-
-
-def _keep(prepared: Project, name: str) -> None:
-    """Keep the text of the study in its folder, so that others know what it refers to."""
-    path, text = prepared.folder / name, prepared.study.text.encode()
-    if not path.exists() or path.read_bytes() != text:
-        write_durably(path, text)
 
 
 def _collect(prepared: Project) -> tuple[list[Verdict], bool, list[str]]:
@@ -405,7 +402,7 @@ def _collect(prepared: Project) -> tuple[list[Verdict], bool, list[str]]:
         told.update(f"{int(ended.status)} {ended.message}\n".encode())
     digest = told.hexdigest()
     path = prepared.folder / DATASET_FILE
-    _keep(prepared, STUDY_FILE)
+    keep_study(prepared.folder / STUDY_FILE, prepared.study)
     if collected_digest(path) == digest:
         return verdicts, False, []
     # figures and report belong to one dataset: without a report they are drawn again

@@ -9,6 +9,14 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 from demflow.model.parameters import SceneError
 from demflow.model.region import Circle, Polygon, Rectangle, Region
 from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
+from demflow.model.scene.distributions import (
+    Exponential,
+    LengthPower,
+    LogNormal,
+    PowerLaw,
+    Uniform,
+    VonMises,
+)
 from demflow.model.scene.flow import (
     LEAST_TOLERANCE,
     Fluid,
@@ -18,9 +26,18 @@ from demflow.model.scene.flow import (
     Solver,
     Well,
 )
-from demflow.model.scene.fractures import BiWing, Fracture, FractureSet, Joint, Trace
+from demflow.model.scene.fractures import (
+    BiWing,
+    Fracture,
+    FractureSet,
+    Joint,
+    RandomSet,
+    Trace,
+    TraceMap,
+)
 from demflow.model.scene.lines import JointLine, Line, joint_lines, lines_of
 from demflow.model.scene.rock import Bonds, FailureTest, Grains, Stress
+from demflow.model.scene.trace_maps import MapFile
 
 __all__ = [
     "LEAST_TOLERANCE",
@@ -28,6 +45,7 @@ __all__ = [
     "OBSERVABLES",
     "BiWing",
     "Bonds",
+    "Exponential",
     "FailureTest",
     "Circle",
     "Fluid",
@@ -37,10 +55,15 @@ __all__ = [
     "InitialField",
     "Joint",
     "JointLine",
+    "LengthPower",
     "Line",
+    "LogNormal",
+    "MapFile",
     "Matrix",
     "Polygon",
+    "PowerLaw",
     "Probe",
+    "RandomSet",
     "Rectangle",
     "Region",
     "Scene",
@@ -48,6 +71,9 @@ __all__ = [
     "Solver",
     "Stress",
     "Trace",
+    "TraceMap",
+    "Uniform",
+    "VonMises",
     "Well",
     "joint_lines",
     "lines_of",

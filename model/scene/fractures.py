@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Region, clip_segments
 from demflow.model.scene.distributions import Angle, Aperture, Length, LogNormal
-from demflow.model.scene.random_sets import expected, segments, window_problems
+from demflow.model.scene.random_sets import Drawing, expected, segments, window_problems
 from demflow.model.scene.rock import FailureTest, Stress
 from demflow.model.scene.topology import polyline_problems
 from demflow.model.scene.trace_maps import LaidMap, MapFile, lay, pieces
@@ -230,6 +230,11 @@ class RandomSet(_FractureProperties):
         if problems:
             raise SceneError(problems)
 
+    @property
+    def drawing(self) -> Drawing:
+        """What decides where its fractures lie."""
+        return Drawing(**{one.name: getattr(self, one.name) for one in fields(Drawing)})
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TraceMap(_FractureProperties):
@@ -318,13 +323,13 @@ def _placement_problems(fracture: Fracture, region: Region) -> Problems:
 
 def _drawing_problems(fracture: RandomSet, region: Region) -> Problems:
     """What is wrong with a random set in a region; it is drawn to see whether it has room."""
-    yield from window_problems(fracture, region)
+    yield from window_problems(fracture.drawing, region)
     key = next(k for k in ("intensity", "density", "count") if getattr(fracture, k) is not None)
-    if not (count := expected(fracture, region)) <= MOST_TRACES:
+    if not (count := expected(fracture.drawing, region)) <= MOST_TRACES:
         yield key, f"about {count:.2g} fractures around the region, more than {MOST_TRACES}"
     elif fracture.least_spacing is not None:
         try:
-            segments(fracture, region)
+            segments(fracture.drawing, region)
         except SceneError as error:
             yield from error.problems
 

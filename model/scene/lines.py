@@ -120,7 +120,7 @@ def polylines(fracture: Fracture, region: Region) -> Polylines:
         if isinstance(fracture, FractureSet):
             points = _set_ends(fracture, region)
         else:
-            points = np.stack(segments(fracture, region), axis=1).reshape(-1, 2)
+            points = np.stack(segments(fracture.drawing, region), axis=1).reshape(-1, 2)
         first = np.arange(0, len(points) + 1, 2)
     else:
         points = np.array(fracture.points, dtype=float).reshape(-1, 2)

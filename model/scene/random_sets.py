@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
 
 import numpy as np
 
 from demflow.model.parameters import Problems, SceneError
 from demflow.model.region import Circle, Region, bounding_box, contains
-from demflow.model.scene.distributions import Length, draw
-
-if TYPE_CHECKING:
-    from demflow.model.scene.fractures import RandomSet
+from demflow.model.scene.distributions import Angle, Length, draw
 
 Array = np.ndarray
 
 MOST_TRIES = 200  # places tried for one fracture before its least spacing counts as impossible
 STREAMS = ("count", "length", "angle", "place", "aperture")
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """What of a random set decides where its fractures lie; see `RandomSet` for the fields."""
+
+    seed: int
+    intensity: float | None  # 1/m; one of these three
+    density: float | None  # 1/m2
+    count: int | None
+    length: Length  # m
+    angle: Angle  # rad
+    least_spacing: float | None  # m
+    within: float | None  # m
 
 
 def stream(seed: int, name: str) -> np.random.Generator:
@@ -36,16 +47,13 @@ def mean_length(law: Length) -> float:
     return float(law) if isinstance(law, float | int) else law.mean
 
 
-def expected(fracture: RandomSet, region: Region) -> float:
+def expected(drawing: Drawing, region: Region) -> float:
     """Number of fractures that are drawn in the mean."""
-    if fracture.count is not None:
-        return float(fracture.count)
-    mean = mean_length(fracture.length)
-    if fracture.density is not None:
-        per_area = fracture.density
-    else:
-        per_area = (fracture.intensity or 0.0) / mean
-    _, radius = window(fracture.within, region)
+    if drawing.count is not None:
+        return float(drawing.count)
+    mean = mean_length(drawing.length)
+    per_area = drawing.density or (drawing.intensity or 0.0) / mean
+    _, radius = window(drawing.within, region)
     return per_area * (math.pi * radius**2 + 2.0 * radius * mean)
 
 
@@ -60,17 +68,17 @@ def window(within: float | None, region: Region) -> tuple[Array, float]:
     return centre, 0.5 * math.hypot(xmax - xmin, ymax - ymin)
 
 
-def window_problems(fracture: RandomSet, region: Region) -> Problems:
+def window_problems(drawing: Drawing, region: Region) -> Problems:
     """What is wrong with where a set is drawn."""
-    if fracture.within is None:
+    if drawing.within is None:
         return
     centre, radius = window(None, region)
-    if fracture.within < (reach := radius + float(np.hypot(*centre))):
+    if drawing.within < (reach := radius + float(np.hypot(*centre))):
         yield "within", f"the region reaches {reach:.4g} m from the origin; draw at least there"
 
 
 @functools.lru_cache(maxsize=64)
-def segments(fracture: RandomSet, region: Region) -> tuple[Array, Array]:
+def segments(drawing: Drawing, region: Region) -> tuple[Array, Array]:
     """Start and end, (n, 2) each in m, of the fractures of a set that may reach the region.
 
     By density or intensity their centres are a Poisson process of the whole plane, and exactly
@@ -83,39 +91,39 @@ def segments(fracture: RandomSet, region: Region) -> tuple[Array, Array]:
 
     Raises SceneError where the spacing leaves no room.
     """
-    place = stream(fracture.seed, "place")
-    lengths, angles = stream(fracture.seed, "length"), stream(fracture.seed, "angle")
-    if fracture.count is not None:
-        n = fracture.count
-        length = draw(fracture.length, lengths, n)
+    place = stream(drawing.seed, "place")
+    lengths, angles = stream(drawing.seed, "length"), stream(drawing.seed, "angle")
+    if drawing.count is not None:
+        n = drawing.count
+        length = draw(drawing.length, lengths, n)
 
         def centres(k: Array, along: Array) -> Array:
             return _in_region(region, place, len(k))
 
     else:
-        centre, radius = window(fracture.within, region)
-        mean = mean_length(fracture.length)
-        n = int(stream(fracture.seed, "count").poisson(expected(fracture, region)))
+        centre, radius = window(drawing.within, region)
+        mean = mean_length(drawing.length)
+        n = int(stream(drawing.seed, "count").poisson(expected(drawing, region)))
         disc = math.pi * radius / (math.pi * radius + 2.0 * mean)
         biased = lengths.random(n) >= disc
-        length = draw(fracture.length, lengths, n)
+        length = draw(drawing.length, lengths, n)
         longer = int(np.count_nonzero(biased))
-        if isinstance(fracture.length, float | int):
-            length[biased] = fracture.length
+        if isinstance(drawing.length, float | int):
+            length[biased] = drawing.length
         else:
-            length[biased] = fracture.length.biased(lengths, longer)
+            length[biased] = drawing.length.biased(lengths, longer)
 
         def centres(k: Array, along: Array) -> Array:
             return centre + _in_stadium(radius, length[k], along, biased[k], place)
 
-    angle = draw(fracture.angle, angles, n)
+    angle = draw(drawing.angle, angles, n)
     along = np.column_stack([np.cos(angle), np.sin(angle)])
     middle = centres(np.arange(n), along)
-    if fracture.least_spacing is not None:
+    if drawing.least_spacing is not None:
         for k in range(1, n):
             for _ in range(MOST_TRIES):
                 apart = middle[:k] - middle[k]
-                if np.einsum("ij,ij->i", apart, apart).min() >= fracture.least_spacing**2:
+                if np.einsum("ij,ij->i", apart, apart).min() >= drawing.least_spacing**2:
                     break
                 middle[k] = centres(np.array([k]), along[k : k + 1])[0]
             else:

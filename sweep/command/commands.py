@@ -55,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> int:
     """Validate a study: every problem at once."""
+    from demflow.sweep.command.traces import told_traces
     from demflow.sweep.study.load import load_study
 
     try:
@@ -68,10 +69,14 @@ def check(options: argparse.Namespace) -> int:
             print(error)
         return WRONG
     cases = _product(study.shape)
+    told = told_traces(study)
     if options.json:
-        _print_json({"valid": True, "problems": [], "study": study.name, "cases": cases})
+        good = {"valid": True, "problems": [], "study": study.name, "cases": cases}
+        _print_json(good | {"traces": told})
     else:
         print(f"{options.study}: valid, {_count(cases, 'case')}")
+        for line in told:
+            print(line)
     return GOOD
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from demflow.model.parameters import SceneError
 from demflow.sweep.plan.graph import Plan, make_plan
 from demflow.sweep.store.durable import write_durably
+from demflow.sweep.store.kept import keep_study
 from demflow.sweep.store.products import Store
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.load import Study, StudyError, load_study
@@ -31,10 +32,10 @@ def note(store: Store, study: Study, plan: Plan) -> None:
         "smoke": study.smoke,
         "products": _first_products(plan),
     }
-    for name, content in ((_NOTE, json.dumps(told, indent=1)), (_STUDY, study.text)):
-        path = store.root / name
-        if not path.exists() or path.read_bytes() != content.encode():
-            write_durably(path, content.encode())
+    keep_study(store.root / _STUDY, study)
+    path, content = store.root / _NOTE, json.dumps(told, indent=1).encode()
+    if not path.exists() or path.read_bytes() != content:
+        write_durably(path, content)
 
 
 def inherited(store: Store, plan: Plan) -> str | None:

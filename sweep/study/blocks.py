@@ -220,7 +220,9 @@ class Law(Section):
             if key in node.entries:
                 return block.read(node, path, reading)
         forms = "; ".join(f"{{{', '.join(block.members)}}}" for block in self.laws.values())
-        reading.report(node.place, f"{where(path)} is a number, or a law with the keys {forms}", path)
+        reading.report(
+            node.place, f"{where(path)} is a number, or a law with the keys {forms}", path
+        )
         return self.number.stand_in()
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
@@ -379,15 +381,13 @@ def block_of(
     return Block(cls, members)
 
 
-def _section(
-    declared: dataclasses.Field, hint: Any, words: KindWords, within: Specials
-) -> Section:
+def _section(declared: dataclasses.Field, hint: Any, words: KindWords, within: Specials) -> Section:
     kinds = _alternatives(hint)
     optional = type(None) in kinds
     kinds = tuple(kind for kind in kinds if kind is not type(None))
     if all(dataclasses.is_dataclass(kind) for kind in kinds):
         return _blocks(kinds, words, within)
-    laws = [block_of(kind) for kind in kinds if dataclasses.is_dataclass(kind)]
+    laws = [block_of(typing.cast(type, kind)) for kind in kinds if dataclasses.is_dataclass(kind)]
     if laws:
         number = next(kind for kind in kinds if not dataclasses.is_dataclass(kind))
         forms = {next(iter(block.members)): block for block in laws}

@@ -12,7 +12,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from demflow.sweep.study.expect import EXPECT, Expectation
 from demflow.sweep.study.overrides import overlaid
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.scenes import SceneBuilder
-from demflow.sweep.study.sections import Reading, report_unknown
+from demflow.sweep.study.sections import NamedFile, Reading, report_unknown
 from demflow.sweep.study.units import describe, format_quantity
 from demflow.sweep.study.variants import (
     VariantAxis,
@@ -115,6 +115,7 @@ class Study:
     limits: Limits
     figures: Figures
     promised: tuple[Expectation, ...] = ()  # one for all cases, or one for each variant; or none
+    files: Mapping[str, NamedFile] = field(default_factory=dict)  # by the name of their kept copy
 
     def expectation(self, index: Sequence[int]) -> Expectation:
         """How the case at a position along each axis should end."""
@@ -160,13 +161,14 @@ def load_study(path: str | Path, *, smoke: bool = False) -> Study:
         ]
     if problems or full is None or small is None:
         raise StudyError(path, problems)
-    return replace(small, smoke=True) if smoke else full
+    files = {**full.files, **small.files}
+    return replace(small, smoke=True, files=files) if smoke else replace(full, files=files)
 
 
 def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None, Reading]:
     """The study that a tree of nodes stands for, or None where there are problems."""
     entries, keys = root.entries, root.keys
-    reading = Reading()
+    reading = Reading(folder=source.path.parent)
     meant: set[str | None] = set()  # keys that misspelt ones stand for
     for key, place in keys.items():
         if key not in KEYS:
@@ -215,6 +217,7 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
         limits=blocks["limits"],
         figures=blocks["figures"],
         promised=promised,
+        files=reading.files,
     )
     return study, reading
 
@@ -259,7 +262,7 @@ def _scenes_of(
     scenes = [_scene_values(variants.points[0].tree, meant, reading)]
     known |= {*reading.problems}
     for point in variants.points[1:]:
-        inner = Reading(supplied=reading.supplied)
+        inner = Reading(supplied=reading.supplied, folder=reading.folder, files=reading.files)
         scenes.append(_scene_values(point.tree, meant, inner))
         reading.problems += [problem for problem in inner.problems if problem not in known]
         reading.unreadable |= inner.unreadable

@@ -1,11 +1,14 @@
 """Files with fracture traces or outlines → arrays: GeoJSON, shapefile, CSV and FracPaQ text.
 
-| file | what is read |
-|---|---|
-| `.geojson`, `.json` | LineString and MultiLineString; of an outline Polygon and MultiPolygon |
-| `.shp` | polylines; of an outline polygons. The `.prj` beside it says the unit |
-| `.csv` | one trace a line by its ends (`x0, y0, x1, y1`, also `START_X …`), or one vertex a line (`trace, x, y`), told apart by the header |
-| `.txt` | FracPaQ: one trace a line, `x y x y …` |
+`.geojson`, `.json`
+    LineString and MultiLineString; of an outline Polygon and MultiPolygon.
+`.shp`
+    polylines; of an outline polygons. The `.prj` beside it says the unit.
+`.csv`
+    a trace a line by its ends (`x0, y0, x1, y1`, also `START_X …`), or a vertex a line
+    (`trace, x, y`), told apart by the header.
+`.txt`
+    FracPaQ: a trace a line, `x y x y …`.
 
 What is no line, not finite or in degrees is told with the number of the feature; whether a
 line can be one trace is judged where the map is laid into a scene.
@@ -188,7 +191,9 @@ def _shapefile(content: bytes, prj: str, rings: bool) -> Found:
         shapes = shapefile.Reader(shp=io.BytesIO(content)).iterShapes()
         for number, shape in enumerate(shapes, start=1):
             if shape.shapeType not in wanted:
-                what = f"a {shape.shapeTypeName.lower()}, not a {word}" if shape.shapeType else "empty"
+                what = (
+                    f"a {shape.shapeTypeName.lower()}, not a {word}" if shape.shapeType else "empty"
+                )
                 found.problems.append(f"feature {number} is {what}; remove it")
                 continue
             stops = [*shape.parts, len(shape.points)]
@@ -253,9 +258,8 @@ def _grouped(rows: list[list[str]], group: int | None, columns: list[int]) -> Fo
         elif name == last and found.points:
             found.points[-1].append(values)
         elif name in seen:
-            found.problems.append(
-                f"line {number + 1} goes on with trace '{name}' after others; keep its lines together"
-            )
+            what = f"line {number + 1} goes on with trace '{name}' after others"
+            found.problems.append(f"{what}; keep its lines together")
         else:
             seen[name] = number
             found.points.append([values])
@@ -264,9 +268,7 @@ def _grouped(rows: list[list[str]], group: int | None, columns: list[int]) -> Fo
     return found
 
 
-def _numbers(
-    rows: list[list[str]], columns: list[int]
-) -> Iterator[tuple[int, list[float], str]]:
+def _numbers(rows: list[list[str]], columns: list[int]) -> Iterator[tuple[int, list[float], str]]:
     """Record, its numbers, and what is wrong with them, or nothing."""
     for number, row in enumerate(rows, start=1):
         values = [_number(row[k]) if k < len(row) else math.nan for k in columns]

@@ -36,13 +36,20 @@ from demflow.model.scene import (
 )
 from demflow.sweep.study.blocks import Block, Named, Specials, Words, block_of
 from demflow.sweep.study.map_files import LARGEST_FILE, MapError, read_map
-from demflow.sweep.study.sections import NoParameter, Parameter, Reading, Section, shape
+from demflow.sweep.study.sections import (
+    KEPT,
+    NamedFile,
+    NoParameter,
+    Parameter,
+    Reading,
+    Section,
+    shape,
+)
 from demflow.sweep.study.units import nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Scalar
 
 MOST_TIMES = 10_000  # output times of a case
 MOST_PROBES = 10_000  # probes on one line
-KEPT = "files"  # folder beside a kept study, with what it names
 
 # the word in a study file for each member of a union of dataclasses
 WORDS: dict[type, tuple[str, str]] = {
@@ -288,7 +295,8 @@ def _contents(text: str, reading: Reading) -> dict[str, bytes]:
             continue
         if path.stat().st_size > LARGEST_FILE:
             raise MapError([f"it is larger than {LARGEST_FILE // 1_000_000} MB"])
-        files[name.name] = reading.files[kept] = path.read_bytes()
+        files[name.name] = path.read_bytes()
+        reading.files[kept] = NamedFile(path, files[name.name])
     return files
 
 

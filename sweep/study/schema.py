@@ -11,10 +11,10 @@ import typing
 from typing import Any
 
 from demflow.sweep.study.axes import MAX_CASES
-from demflow.sweep.study.blocks import Block, Named, OneOf, Words
+from demflow.sweep.study.blocks import Block, Forms, Law, Named, OneOf, Words
 from demflow.sweep.study.expect import EXPECT
 from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
-from demflow.sweep.study.scene import SCENE, InitialForms, ProbeForms, Times
+from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
 
@@ -107,12 +107,21 @@ def _schema(section: Section) -> Schema:
     if isinstance(section, OneOf):
         return {
             "oneOf": [
-                _block(block, {section.tag: {"const": word}})
+                _block(form, {section.tag: {"const": word}})
                 for word, block in section.blocks.items()
+                for form in (block.blocks if isinstance(block, Forms) else (block,))
             ]
         }
     if isinstance(section, Named):
         return {"type": "object", "additionalProperties": _schema(section.inner)}
+    if isinstance(section, Law):
+        laws = [_block(block, {}) for block in section.laws.values()]
+        return {"anyOf": [_schema(section.number), *laws]}
+    if isinstance(section, WordOr):
+        return {"anyOf": [{"enum": list(section.words)}, _schema(section.value)]}
+    if isinstance(section, MapFiles):
+        text = section.declared.metadata["help"]
+        return {"type": "string", "description": f"{text}; its path relative to the study"}
     if isinstance(section, Words):
         items = {"enum": list(section.choices)}
         return {"type": "array", "minItems": 1, "uniqueItems": True, "items": items}

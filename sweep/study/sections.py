@@ -15,7 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from demflow.model.parameters import bound_problem
 from demflow.sweep.study.units import UnitError, example, nearest, parse_quantity
@@ -24,9 +24,18 @@ from demflow.sweep.study.yaml_source import Node, Place, Problem, Scalar, Sequen
 # keys that stand beside `scene` in a study although a scene (or nothing else) holds them
 BESIDE_SCENE = ("observe", "solver", "limits", "figures", "expect", "vary", "smoke")
 
+KEPT = "files"  # folder beside a kept study, with copies of what it names
+
 
 class NoParameter(LookupError):
     """A path that names nothing that an axis could vary. The text says why, if it is not plain."""
+
+
+class NamedFile(NamedTuple):
+    """A file that a study names."""
+
+    path: Path
+    content: bytes
 
 
 @dataclass
@@ -38,7 +47,7 @@ class Reading:
     places: dict[str, Place] = field(default_factory=dict)  # where each path is written
     unreadable: set[str] = field(default_factory=set)  # paths that hold a stand-in
     folder: Path = Path()  # what the study's file names are relative to
-    files: dict[str, bytes] = field(default_factory=dict)  # content of what it names, by kept name
+    files: dict[str, NamedFile] = field(default_factory=dict)  # by the name of their kept copy
 
     def report(self, place: Place, message: str, path: str | None = None) -> None:
         """Note a problem; `path` is the parameter that cannot be used because of it."""

@@ -144,4 +144,6 @@ def test_it_says_what_the_dataclasses_say(schema):
     )
     assert schema["properties"]["observe"]["items"]["enum"] == list(OBSERVABLES)
     kinds = scene["fractures"]["anyOf"][0]["additionalProperties"]["oneOf"]
-    assert [kind["properties"]["kind"]["const"] for kind in kinds] == ["bi-wing", "set", "trace"]
+    assert [kind["properties"]["kind"]["const"] for kind in kinds] == [
+        *("bi-wing", "set", "set", "trace", "traces"),
+    ]

@@ -208,13 +208,18 @@ def test_every_declared_parameter_is_a_key():
         for key, member in block.members.items():
             if hasattr(member.section, "unit"):
                 assert member.section.unit == declared[key].metadata["unit"]
-            for inner in getattr(member.section, "blocks", {}).values():
+            for inner in kinds(member.section):
                 compare(inner)
             if hasattr(member.section, "members"):
                 compare(member.section)
 
+    def kinds(section):
+        """The blocks of a section of several kinds, a word's forms one by one; laws likewise."""
+        words = {**getattr(section, "blocks", {}), **getattr(section, "laws", {})}.values()
+        return [block for word in words for block in getattr(word, "blocks", (word,))]
+
     compare(SCENE)
-    for kind in SCENE.members["fractures"].section.inner.blocks.values():
+    for kind in kinds(SCENE.members["fractures"].section.inner):
         compare(kind)
 
 

@@ -1,0 +1,64 @@
+"""What `check` tells of the traces that a study draws or reads from files."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from demflow.model.scene import Grains, RandomSet, Scene, TraceMap, lines_of
+from demflow.model.scene.trace_maps import LaidMap
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import Study
+
+
+def told_traces(study: Study) -> list[str]:
+    """One line for each map and each random set of the first case."""
+    scene = case_at(study, (0,) * len(study.axes)).scene
+    return [
+        _told(fracture, scene)
+        for fracture in scene.fractures
+        if isinstance(fracture, TraceMap | RandomSet)
+    ]
+
+
+def _told(fracture: TraceMap | RandomSet, scene: Scene) -> str:
+    lines = lines_of((fracture,), scene.region)
+    length = np.bincount([line.trace for line in lines], [line.length for line in lines])
+    length, area = length[length > 0.0], scene.region.area
+    pore = pore_spacing(scene.grains, area)
+    parts = [
+        f"{len(length)} traces in the region",
+        f"P20 {len(length) / area:.3g} 1/m2",
+        f"P21 {length.sum() / area:.3g} 1/m",
+        f"{np.count_nonzero(length < pore)} shorter than a pore ({pore:.2g} m)",
+    ]
+    told = ", ".join(parts)
+    if isinstance(fracture, TraceMap):
+        told = f"{_of_map(fracture, fracture.laid)}; {told}"
+    return f"fractures.{fracture.name}: {told}"
+
+
+def _of_map(fracture: TraceMap, laid: LaidMap) -> str:
+    """The whole map, before it is cut."""
+    unit = fracture.file.unit if fracture.unit is None else fracture.unit
+    parts = [
+        f"a map of {laid.traces} traces",
+        f"{laid.extent[0]:.4g} by {laid.extent[1]:.4g} m with {unit:g} m a unit",
+    ]
+    if laid.area is not None:
+        parts.append(f"P21 {laid.length / laid.area:.3g} 1/m of its {laid.area:.4g} m2")
+    parts.append(f"its ({laid.origin[0]:.9g}, {laid.origin[1]:.9g}) m at the origin")
+    if laid.repeated:
+        parts.append(f"{laid.repeated} vertices that stand twice count once")
+    if laid.vanished:
+        parts.append(f"{laid.vanished} traces shorter than the snap left out")
+    return ", ".join(parts)
+
+
+def pore_spacing(grains: Grains, area: float) -> float:
+    """About the distance of pores, m: there are nearly as many as grains in the region."""
+    if grains.count is not None:
+        return math.sqrt(area / grains.count)
+    solid = 1.0 - (grains.porosity or 0.17)
+    return float(grains.mean_radius or 0.0) * math.sqrt(math.pi / solid)
