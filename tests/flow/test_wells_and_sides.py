@@ -8,7 +8,6 @@ import pytest
 from demflow.model.controls import sites
 from demflow.model.flow.equation.wells import WELL_FLOOR
 from demflow.model.flow.solvers.registry import SOLVERS
-from demflow.model.outcome import ModelError
 from demflow.model.permeability import permeability
 from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import BiWing, Probe, Trace, Well
@@ -183,17 +182,6 @@ def test_a_well_stores_nothing_and_covers_the_pores_within_its_radius():
         system.storage[: system.pores], net.volume[system.domain] / rock.bulk_modulus
     )
     assert len(system.domain) + covered.sum() + system.isolated == net.inside.sum()
-
-
-def test_two_wells_in_one_pore_are_refused_by_name():
-    rock = reservoir(square_lattice(1.2, 0.05), Circle(0.9))
-    for steer in ("rate", "pressure"):
-        wells = tuple(
-            Well(name=name, at=at, radius=1e-3, **{steer: 1.0})
-            for name, at in (("first", (0.01, 0.01)), ("second", (0.015, 0.01)))
-        )
-        with pytest.raises(ModelError, match="first"):
-            rock.observed(wells, (("outer", 0.0),), method="steady")
 
 
 def test_a_fracture_starts_at_the_wall_of_its_well():

@@ -11,17 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 
+from demflow.model.flow.equation.local_rock import mobility_around
+from demflow.model.flow.equation.sites import WellSite
+from demflow.model.flow.equation.well_field import well_field
 from demflow.model.flow.equation.wells import (
-    WellSite,
-    conducting_pipes,
-    radial_conductance,
-    wells_of_domains,
+    Edges,
+    Wells,
+    join_wells,
+    pores_of_wells,
     with_skin,
 )
 from demflow.model.network.connectivity import reached
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network
 from demflow.model.region import Region
+
+# Around a well, a ring of pores this far from its wall tells what it should feel.
+RING_PORES = 5.0
 
 
 class System(NamedTuple):
@@ -126,7 +132,10 @@ def assemble(
     storing = np.array([wells[k].storage for k in rate_wells])
     last_empty = np.argsort(storing == 0.0, kind="stable")  # wells that store nothing come last
     order = np.argsort(last_empty)
-    well_of = wells_of_domains(network, wells)
+    placed = _placed(network, apertures, region, wells, sides)
+    well_of = np.full(len(network.x), -1)
+    for k in reversed(range(len(wells))):
+        well_of[placed.taken[k]] = k
 
     # Everything that flow can reach is a terminal: the pores, then the wells, then the sides.
     d, w = len(network.x), len(wells)
@@ -134,7 +143,7 @@ def assemble(
     held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
     held[d + w :] = np.arange(len(sides))
     held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
-    a, b, g = _connections(network, apertures, region, wells, sides, well_of, terminal)
+    a, b, g = _connections(network, apertures, region, placed, sides)
     a, b = np.where(held[a] >= 0, b, a), np.where(held[a] >= 0, a, b)
     free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
     between = held[a] >= 0
@@ -195,28 +204,60 @@ def _check_numbers(network: Network, apertures: Apertures) -> None:
         )
 
 
-def _connections(
+def _placed(
     network: Network,
     apertures: Apertures,
     region: Region,
     wells: tuple[WellSite, ...],
     sides: tuple[str, ...],
-    well_of: np.ndarray,
-    terminal: np.ndarray,
+) -> Wells:
+    """The pores of each well, and the field that it would have in uniform rock."""
+    spacing = float(np.sqrt(network.area[network.inside].mean()))
+    fixed = _sources_of_sides(region, sides) >= 0
+    fields, mean = [], np.zeros(len(wells))
+    for k, well in enumerate(wells):
+        mobility = mobility_around(network, apertures, region, well.at, well.radius)
+        mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
+        reach = well.radius + RING_PORES * spacing
+        field = (
+            well_field(well.at, well.radius, mobility, region, fixed, reach) if mean[k] else None
+        )
+        fields.append(field)
+    return Wells(wells, pores_of_wells(network, wells), fields, mean)
+
+
+def _connections(
+    network: Network,
+    apertures: Apertures,
+    region: Region,
+    wells: Wells,
+    sides: tuple[str, ...],
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Conductances between terminals: pipes, cut pipes to the sides, rock along sealed sides."""
+    place = np.column_stack([network.x, network.y])
+    within = network.inside[network.pipe_from] & network.inside[network.pipe_to]
+    pipe = np.flatnonzero(within & (apertures.conductance > 0.0))
+    j = network.pipe_to[pipe]
+    along = np.where(apertures.on_fracture >= 0, np.arange(len(apertures.on_fracture)), -1)
+    pipes = Edges(network.pipe_from[pipe], j, apertures.conductance[pipe], place[j], along[pipe])
+
     side_source = _sources_of_sides(region, sides)
     rim = side_source[network.cut_side]
-    at_side = (rim >= 0) & (apertures.cut_conductance > 0.0)
-    i, j, g = conducting_pipes(network, apertures, wells, well_of)
     k, m, around = _around_sealed_sides(network, apertures, rim < 0)
-    a = np.concatenate([terminal[i], terminal[k], terminal[network.cut_inside[at_side]]])
-    b = np.concatenate([terminal[j], terminal[m], len(network.x) + len(wells) + rim[at_side]])
-    g = np.concatenate([g, around, apertures.cut_conductance[at_side]])
-    a, b, g = a[a != b], b[a != b], g[a != b]
-    for number, well in enumerate(wells):
+    sealed = Edges(k, m, around, place[m], np.full(len(k), -1))
+
+    cut = np.flatnonzero((rim >= 0) & (apertures.cut_conductance > 0.0))
+    inner, outer = network.cut_inside[cut], network.cut_outside[cut]
+    end = place[inner] + network.cut_fraction[cut, None] * (place[outer] - place[inner])
+    source = len(network.x) + len(wells.sites) + rim[cut]
+    held = Edges(inner, source, apertures.cut_conductance[cut], end, along[network.cut[cut]])
+
+    edges = Edges(*(np.concatenate(columns) for columns in zip(pipes, sealed, held, strict=True)))
+    joined = join_wells(edges, network, apertures, wells)
+    a, b, g = joined.a, joined.b, joined.g
+    for number, well in enumerate(wells.sites):
         if well.skin > 0.0:
-            rock = radial_conductance(network, apertures, region, well)
+            rock = 2.0 * np.pi * wells.mobility[number]
             if rock == 0.0:
                 raise ModelError(
                     f"well {well.name} has a skin_factor, which needs a permeability of the rock "

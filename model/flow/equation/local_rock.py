@@ -1,0 +1,72 @@
+"""What the rock conducts around a place: its mobility k/μ, measured on the pores there."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from demflow.model.flow.linear.factor import analyse, factorise, solve
+from demflow.model.network.connectivity import reached
+from demflow.model.products import Apertures, Network
+from demflow.model.region import Region, distance_to_rim
+
+# Pores between the well's wall and the end of the rock that is measured, and those beyond it
+# up to where the gradient is imposed.
+MEASURED_PORES = 20.0
+MARGIN_PORES = 3.0
+
+# Measured pores lie this many pores from the rim, unless the region is too small for that.
+RIM_PORES = 1.5
+
+
+def mobility_around(
+    network: Network, apertures: Apertures, region: Region, at: tuple[float, float], radius: float
+) -> np.ndarray:
+    """Mobility k/μ (2, 2), m²/(Pa s), of the rock around a well of a radius (m), symmetric.
+
+    By the dissipation Σ g Δp_a Δp_b over the area of the pores up to twenty pores from the
+    well's wall, where p = −x and p = −y are imposed a few pores further out and on the rim. Pipes
+    along fractures are left out; zero where nothing else conducts.
+    """
+    spacing = float(np.sqrt(network.area[network.inside].mean()))
+    distance = np.hypot(network.x - at[0], network.y - at[1])
+    end = radius + MEASURED_PORES * spacing
+    node = np.full(len(network.x), -1)
+    near = np.flatnonzero(network.inside & (distance < end + MARGIN_PORES * spacing))
+    node[near] = np.arange(len(near))
+    measured = distance[near] < end
+    place = np.column_stack([network.x, network.y])
+    off_rim = distance_to_rim(region, place[near]) > RIM_PORES * spacing
+    if np.any(measured & off_rim):
+        measured &= off_rim
+
+    rock = (apertures.on_fracture < 0) & (apertures.conductance > 0.0)
+    rock &= network.inside[network.pipe_from] & network.inside[network.pipe_to]
+    i, j, g = network.pipe_from[rock], network.pipe_to[rock], apertures.conductance[rock]
+    touches = (node[i] >= 0) | (node[j] >= 0)
+    i, j, g = i[touches], j[touches], g[touches]
+    i, j = np.where(node[i] >= 0, i, j), np.where(node[i] >= 0, j, i)
+    within = node[j] >= 0
+    cut = (node[network.cut_inside] >= 0) & (apertures.on_fracture[network.cut] < 0)
+    inner, outer = network.cut_inside[cut], network.cut_outside[cut]
+    t = network.cut_fraction[cut, None]
+    ends = np.concatenate([node[i[~within]], node[inner]])
+    end_g = np.concatenate([g[~within], apertures.cut_conductance[cut]])
+    end_place = np.concatenate(
+        [place[j[~within]], place[inner] + t * (place[outer] - place[inner])]
+    )
+    i, j, g = node[i[within]], node[j[within]], g[within]
+    held = reached(len(near), i, j, ends[end_g > 0.0])
+    if not held.any():
+        return np.zeros((2, 2))
+    excess = np.bincount(ends, weights=end_g, minlength=len(near)) + ~held
+    rhs = -np.column_stack(
+        [np.bincount(ends, weights=end_g * x, minlength=len(near)) for x in end_place.T]
+    )
+    p = solve(factorise(analyse(len(near), i, j), g, excess), rhs)
+
+    drop, end_drop = p[i] - p[j], p[ends] + end_place
+    share = 0.5 * (measured[i].astype(float) + measured[j])
+    mobility = drop.T @ ((share * g)[:, None] * drop)
+    mobility += end_drop.T @ ((0.5 * measured[ends] * end_g)[:, None] * end_drop)
+    area: float = network.area[near[measured]].sum()
+    return 0.5 * (mobility + mobility.T) / area

@@ -1,0 +1,118 @@
+"""The pressure around one well in uniform rock: a logarithm, with images in the sides nearby."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.region import Circle, Region
+
+# Two sides that meet at a right angle, within this cosine, have an image of their images.
+UPRIGHT = 0.05
+
+
+class WellField(NamedTuple):
+    """u(x) of a well that produces 2π √det(k/μ) m³/s from rock of mobility k/μ, in Pa.
+
+    In coordinates ζ that make the rock isotropic the well's circle is an ellipse, around which
+    u = ln |ζ + √(ζ² − c²)| / 2, c half the distance of its foci: the logarithm of the distance
+    far away, a constant on the wall. A side at fixed pressure adds an image of the other sign, a
+    sealed one an image of the same.
+    """
+
+    at: np.ndarray  # (2,) m
+    scale: np.ndarray  # (2, 2): coordinates along the principal directions, made isotropic
+    half_axes: tuple[float, float]  # m, of the wall in those coordinates
+    image: np.ndarray  # (i, 2) m, in those coordinates, from the well
+    sign: np.ndarray  # (i,)
+    reach: float  # m: how far it holds, and the distance of which its logarithm is zero
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance from the axis in the coordinates in which the rock is isotropic, (n,) m."""
+        return np.linalg.norm((points - self.at) @ self.scale.T, axis=1)
+
+    def at_points(self, points: np.ndarray) -> np.ndarray:
+        """Pressure u at points (n, 2) m, (n,)."""
+        place = (points - self.at) @ self.scale.T
+        a, b = self.half_axes
+        z = place[:, 0] + 1j * place[:, 1]
+        focus = np.sqrt(max(a * a - b * b, 0.0))
+        root = np.sqrt(z - focus + 0j) * np.sqrt(z + focus + 0j)
+        own = np.log(np.maximum(np.abs(z + root) / 2, 0.5 * (a + b)) / self.reach)
+        return own + self._of_images(place)
+
+    @property
+    def at_wall(self) -> float:
+        """Pressure u of the well itself."""
+        own = np.log(0.5 * sum(self.half_axes) / self.reach)
+        return float(own + self._of_images(np.zeros((1, 2)))[0])
+
+    def _of_images(self, place: np.ndarray) -> np.ndarray:
+        if len(self.image) == 0:
+            return np.zeros(len(place))
+        distance = np.linalg.norm(place[:, None, :] - self.image, axis=2)
+        return np.log(distance / self.reach) @ self.sign
+
+
+def well_field(
+    at: tuple[float, float],
+    radius: float,
+    mobility: np.ndarray,
+    region: Region,
+    fixed: np.ndarray,
+    reach: float,
+) -> WellField:
+    """The field of a well of a radius (m) in rock of mobility k/μ (2, 2), m²/(Pa s).
+
+    `fixed` (sides,) tells which sides of the region keep a pressure; those within `reach` (m) of
+    the well have images, and two of them at a right angle one in the corner. A circular rim has
+    the image at R²/ρ.
+    """
+    values, vectors = np.linalg.eigh(mobility)
+    mean = np.sqrt(np.prod(values))
+    stretch = np.sqrt(mean / values)
+    scale = stretch[:, None] * vectors.T
+    here = np.asarray(at, dtype=float)
+    image, sign = _images(here, scale, region, fixed, reach)
+    return WellField(
+        at=here,
+        scale=scale,
+        half_axes=(float(radius * stretch[0]), float(radius * stretch[1])),
+        image=image,
+        sign=sign,
+        reach=reach,
+    )
+
+
+def _images(
+    at: np.ndarray, scale: np.ndarray, region: Region, fixed: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (i, 2) and signs (i,) of the images, in the coordinates of `scale` from the well."""
+    if isinstance(region, Circle):
+        distance = float(np.linalg.norm(at))
+        if region.radius - distance > reach or distance == 0.0:
+            return np.empty((0, 2)), np.empty(0)
+        place = scale @ (at * ((region.radius / distance) ** 2 - 1.0))
+        return place[None, :], np.where(fixed[:1], -1.0, 1.0)
+    corners = np.asarray(region.vertices, dtype=float)
+    near: list[tuple[np.ndarray, np.ndarray, float]] = []  # foot, normal, sign
+    for k, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        part = np.clip((at - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
+        if np.linalg.norm(start + part * (end - start) - at) > reach:
+            continue
+        along = scale @ (end - start)
+        along /= np.linalg.norm(along)
+        offset = scale @ (start - at)
+        foot = offset - (offset @ along) * along
+        if not foot.any():
+            continue
+        near.append((foot, foot / np.linalg.norm(foot), -1.0 if fixed[k] else 1.0))
+    images = [(2.0 * foot, sign) for foot, _, sign in near]
+    for (foot, normal, sign), (other, other_normal, other_sign) in combinations(near, 2):
+        if abs(normal @ other_normal) < UPRIGHT:
+            images.append((2.0 * (foot + other), sign * other_sign))
+    if not images:
+        return np.empty((0, 2)), np.empty(0)
+    return np.array([place for place, _ in images]), np.array([sign for _, sign in images])
