@@ -76,8 +76,8 @@ class Fluid:
 class Well:
     """A well of finite radius at a rate, a pressure or a schedule of rates.
 
-    All pores whose centroid lies within the radius share the well's pressure; a well
-    narrower than the pores stands in the nearest one (Peaceman's equivalent radius). A skin S
+    All pores whose centroid lies within the radius share the well's pressure; a well narrower
+    than the pores stands in its own and has the drawdown of its radius all the same. A skin S
     adds q μ S / (2π k) to the fall of its pressure; a negative one acts as a well of radius
     r_w e^(−S). With a wellbore storage C the rate is that at the surface, of which C dp/dt comes
     from the wellbore.

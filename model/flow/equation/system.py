@@ -117,9 +117,9 @@ def assemble(
     """Set up the flow equation.
 
     `sides` names the sides at fixed pressure (`outer` takes all of them); the others are
-    sealed. A pore in a well shares the well's pressure and stores nothing of its own; a pipe
-    that leaves a well carries g ln(r_j / r_i) / ln(r_j / r_w), which is exact for the
-    logarithmic profile around it. A skin S adds q μ S / (2π k) to the fall of the well's
+    sealed. A pore in a well shares the well's pressure and stores nothing of its own; what
+    joins a well to the pores around gives it the pressure of a well in a continuum of the rock
+    there (`wells.join_wells`). A skin S adds q μ S / (2π k) to the fall of the well's
     pressure (van Everdingen 1953, Trans. AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J.
     10, 279–290), with the permeability of the rock around the well.
 
