@@ -8,7 +8,7 @@ messages, and gives editors their schema, so that a bound is written once.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, field, fields
 from numbers import Real
 from typing import Any
@@ -36,6 +36,8 @@ def parameter(
     choices: tuple[str, ...] | None = None,
     reason: str = "",
     key: str | None = None,
+    example: str | None = None,
+    bare_at_most: float | None = None,
     help: str,
 ) -> Any:
     """A dataclass field that knows its unit, its bounds and what it means.
@@ -48,6 +50,9 @@ def parameter(
     choices : the words that are allowed, for a parameter that is a word.
     reason : why the bounds are what they are, where that is no matter of course.
     key : the name in a study file where it differs from the field's (a Python keyword).
+    example : a value as a study file has it, where that of its unit would mislead.
+    bare_at_most : the largest number that a study file may give without a unit: beyond it the
+        unit was forgotten.
     help : one line for a user.
     """
     metadata = {
@@ -59,6 +64,8 @@ def parameter(
         "choices": choices,
         "reason": reason,
         "key": key,
+        "example": example,
+        "bare_at_most": bare_at_most,
         "help": help,
     }
     if default is MISSING:
@@ -66,10 +73,19 @@ def parameter(
     return field(default=default, metadata=metadata)
 
 
-def bound_problem(declared: Field, value: Any) -> str | None:
+# What is computed with, by unit: products and powers of such numbers stay far from the largest
+# and the smallest there are.
+_SIZES = {"m": (1e-12, 1e9), "rad": (0.0, 1e4)}
+_ANY_SIZE = (1e-60, 1e60)
+
+
+def bound_problem(
+    declared: Field, value: Any, show: Callable[[float], str] | None = None
+) -> str | None:
     """What is wrong with a value against the declaration of its field, or None.
 
-    The bounds of a tuple are those of each of its numbers.
+    The bounds of a tuple are those of each of its numbers. `show` writes a number of the
+    field's unit for whoever gave the value; by default in SI.
     """
     meta = declared.metadata
     if not meta or value is None:
@@ -79,27 +95,43 @@ def bound_problem(declared: Field, value: Any) -> str | None:
             return f"{value!r} is none of {', '.join(meta['choices'])}"
         return None
     if isinstance(value, tuple):
-        problems = (bound_problem(declared, part) for part in value)
+        problems = (bound_problem(declared, part, show) for part in value)
         return next((what for what in problems if what is not None), None)
     if isinstance(value, bool | str) or not isinstance(value, Real):
         return None
     if not math.isfinite(value):
         return f"{value} is not a finite number"
-    what = _beyond(meta, value)
-    return f"{what}; {meta['reason']}" if what and meta["reason"] else what
-
-
-def _beyond(meta: Mapping[str, Any], value: Any) -> str | None:
-    """The bound that a number breaks, or None."""
     unit = "" if meta["unit"] == "1" else f" {meta['unit']}"
+    show = show or (lambda number: f"{number:g}{unit}")
+    what = _beyond(meta, value, show)
+    if what is None:
+        return _size_problem(meta, value, show)
+    return f"{what}; {meta['reason']}" if meta["reason"] else what
+
+
+def _beyond(meta: Mapping[str, Any], value: Any, show: Callable[[float], str]) -> str | None:
+    """The bound that a number breaks, or None."""
     if meta["above"] is not None and not value > meta["above"]:
-        return f"{value:g}{unit} is not above {meta['above']:g}{unit}"
+        return f"{show(value)} is not above {show(meta['above'])}"
     if meta["at_least"] is not None and not value >= meta["at_least"]:
-        return f"{value:g}{unit} is below {meta['at_least']:g}{unit}"
+        return f"{show(value)} is below {show(meta['at_least'])}"
     if meta["below"] is not None and not value < meta["below"]:
-        return f"{value:g}{unit} is not below {meta['below']:g}{unit}"
+        return f"{show(value)} is not below {show(meta['below'])}"
     if meta["at_most"] is not None and not value <= meta["at_most"]:
-        return f"{value:g}{unit} is above {meta['at_most']:g}{unit}"
+        return f"{show(value)} is above {show(meta['at_most'])}"
+    return None
+
+
+def _size_problem(meta: Mapping[str, Any], value: Any, show: Callable[[float], str]) -> str | None:
+    """Why nothing is computed with a number of that size, or None."""
+    least, most = _SIZES.get(meta["unit"], _ANY_SIZE)
+    if meta["above"] is None and meta["at_least"] is None:
+        least = 0.0  # a position or a rate may come near to zero, by round-off too
+    size = abs(float(value))
+    if size > most:
+        return f"{show(value)} is beyond {show(most)}, up to which numbers are computed with"
+    if 0.0 < size < least:
+        return f"{show(value)} is below {show(least)}, from which on numbers are computed with"
     return None
 
 

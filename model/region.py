@@ -6,6 +6,7 @@ vertices say. Lengths in metres, angles in radians, arrays of points as (n, 2).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,6 +97,8 @@ class Polygon:
 
 Region = Rectangle | Circle | Polygon
 
+_LOT = 256  # boxes that are compared with others at once
+
 
 def bounding_box(region: Region) -> tuple[float, float, float, float]:
     """Smallest upright box (xmin, xmax, ymin, ymax) around the region, m."""
@@ -115,14 +118,16 @@ def contains(region: Region, points: np.ndarray) -> np.ndarray:
         return (np.abs(points[:, 0]) < 0.5 * region.width) & (
             np.abs(points[:, 1]) < 0.5 * region.height
         )
-    inside = np.zeros(len(points), dtype=bool)
     corners = np.asarray(region.vertices)
-    x, y = points[:, 0], points[:, 1]
-    for (x1, y1), (x2, y2) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        if y1 == y2:
-            continue
+    (x1, y1), (x2, y2) = corners.T, np.roll(corners, -1, axis=0).T
+    slanted = y1 != y2
+    x1, y1, x2, y2 = x1[slanted], y1[slanted], x2[slanted], y2[slanted]
+    inside = np.zeros(len(points), dtype=bool)
+    for lot in _lots(len(points), len(x1)):
+        x, y = points[lot, 0, None], points[lot, 1, None]
         spans = (y1 > y) != (y2 > y)
-        inside ^= spans & (x < x1 + (y - y1) * (x2 - x1) / (y2 - y1))
+        crossed = spans & (x < x1 + (y - y1) * (x2 - x1) / (y2 - y1))
+        inside[lot] = np.count_nonzero(crossed, axis=1) % 2 == 1
     return inside
 
 
@@ -167,10 +172,22 @@ def distance_to_rim(region: Region, points: np.ndarray) -> np.ndarray:
     if isinstance(region, Circle):
         return np.abs(np.hypot(points[:, 0], points[:, 1]) - region.radius)
     corners = np.asarray(region.vertices, dtype=float)
-    start, edge = corners[None, :, :], (np.roll(corners, -1, axis=0) - corners)[None, :, :]
-    along = np.sum((points[:, None, :] - start) * edge, axis=2) / np.sum(edge**2, axis=2)
-    nearest = start + np.clip(along, 0.0, 1.0)[:, :, None] * edge
-    return np.linalg.norm(points[:, None, :] - nearest, axis=2).min(axis=1)
+    edge = np.roll(corners, -1, axis=0) - corners
+    squared = np.sum(edge**2, axis=1)
+    squared[squared == 0.0] = 1.0  # corners given twice are points
+    distance = np.empty(len(points))
+    for lot in _lots(len(points), len(corners)):
+        offset = points[lot, None, :] - corners
+        along = np.sum(offset * edge, axis=2) / squared
+        apart = offset - np.clip(along, 0.0, 1.0)[:, :, None] * edge
+        distance[lot] = np.linalg.norm(apart, axis=2).min(axis=1)
+    return distance
+
+
+def _lots(count: int, each: int) -> Iterator[slice]:
+    """Slices of so many things that meet `each` others, so that few pairs are held at once."""
+    size = max(1, 1_000_000 // max(each, 1))
+    yield from (slice(k, k + size) for k in range(0, count, size))
 
 
 def clip_segment(
@@ -257,24 +274,45 @@ def _signed_area(corners: np.ndarray) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
+def box_pairs(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pairs i < j of upright boxes (n, 2) that overlap or touch, each pair once.
+
+    Boxes are met in the order of their lower x, so that few are compared where few overlap.
+    """
+    order = np.argsort(low[:, 0], kind="stable")
+    low, high = low[order], high[order]
+    found_i, found_j = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    for begin in range(0, len(order), _LOT):
+        block = slice(begin, begin + _LOT)
+        end = np.searchsorted(low[:, 0], high[block, 0].max(), side="right")
+        later = slice(begin + 1, end)
+        touch = (low[later, 0] <= high[block, 0, None]) & (low[later, 1] <= high[block, 1, None])
+        touch &= low[block, 1, None] <= high[later, 1]
+        i, j = np.nonzero(np.triu(touch))
+        found_i.append(order[begin + i])
+        found_j.append(order[begin + 1 + j])
+    i, j = np.concatenate(found_i), np.concatenate(found_j)
+    return np.minimum(i, j), np.maximum(i, j)
+
+
 def _edges_cross(corners: np.ndarray) -> bool:
     """Whether two sides that share no corner meet."""
+    n, ends = len(corners), np.roll(corners, -1, axis=0)
+    i, j = box_pairs(np.minimum(corners, ends), np.maximum(corners, ends))
+    apart = (j > i + 1) & (j < i + n - 1)
+    i, j = i[apart], j[apart]
+    p, q, r, s = corners[i], ends[i], corners[j], ends[j]
 
-    def turn(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> float:
-        return float(np.sign((q[0] - p[0]) * (r[1] - p[1]) - (q[1] - p[1]) * (r[0] - p[0])))
+    def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+        (ux, uy), (vx, vy) = (b - a).T, (c - a).T
+        return np.sign(ux * vy - uy * vx)
 
-    def within(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> bool:
-        """Whether r, on the line p–q, lies between p and q."""
-        return bool(np.all(np.minimum(p, q) <= r) and np.all(r <= np.maximum(p, q)))
+    def within(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Whether c, on the line a–b, lies between a and b."""
+        return np.all((np.minimum(a, b) <= c) & (c <= np.maximum(a, b)), axis=1)
 
-    n = len(corners)
-    for i in range(n):
-        for j in range(i + 2, n - (i == 0)):
-            p, q, r, s = corners[i], corners[(i + 1) % n], corners[j], corners[(j + 1) % n]
-            turns = turn(p, q, r), turn(p, q, s), turn(r, s, p), turn(r, s, q)
-            if turns[0] * turns[1] < 0 and turns[2] * turns[3] < 0:
-                return True
-            ends = ((p, q, r), (p, q, s), (r, s, p), (r, s, q))
-            if any(t == 0 and within(*end) for t, end in zip(turns, ends, strict=True)):
-                return True
-    return False
+    pqr, pqs, rsp, rsq = turn(p, q, r), turn(p, q, s), turn(r, s, p), turn(r, s, q)
+    crosses = (pqr * pqs < 0) & (rsp * rsq < 0)
+    for side, (a, b, c) in ((pqr, (p, q, r)), (pqs, (p, q, s)), (rsp, (r, s, p)), (rsq, (r, s, q))):
+        crosses |= (side == 0) & within(a, b, c)
+    return bool(crosses.any())

@@ -38,6 +38,7 @@ MODEL = (
 # The study and its cases are read without the model's machinery; what runs comes after, and
 # what is made of results reads no stage.
 SWEEP = (
+    ("sweep.printable",),
     ("sweep.errors",),
     ("sweep.study",),
     ("sweep.plan",),
@@ -72,7 +73,7 @@ DOORS = {  # outer library: the only rooms that may import it
         "sweep.execution.worker",
     },
     "netCDF4": {"sweep.dataset.collect", "sweep.dataset.file", "sweep.dataset.writer"},
-    "ruamel": {"sweep.study.yaml_source"},
+    "yaml": {"sweep.study.yaml_source"},
 }
 
 
@@ -137,7 +138,7 @@ def test_no_module_imports_itself_by_a_detour():
 def test_the_model_knows_nothing_of_studies():
     for module, names in IMPORTS.items():
         if lies_in(module, ["model"]):
-            outer = ("sweep", "dask", "distributed", "xarray", "netCDF4", "ruamel", "matplotlib")
+            outer = ("sweep", "dask", "distributed", "xarray", "netCDF4", "yaml", "matplotlib")
             assert not [n for n in names if lies_in(n, outer)], module
 
 

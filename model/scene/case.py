@@ -21,7 +21,14 @@ from demflow.model.scene.flow import (
     well_problems,
 )
 from demflow.model.scene.fractures import Fracture, fracture_problems, joint_problems
-from demflow.model.scene.rock import Bonds, FailureTest, Grains, Stress, loading_problems
+from demflow.model.scene.rock import (
+    Bonds,
+    FailureTest,
+    Grains,
+    Stress,
+    grain_problems,
+    loading_problems,
+)
 
 __all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "Scene"]
 
@@ -83,6 +90,7 @@ class Scene:
     def __post_init__(self) -> None:
         check_fields(self)
         problems = [
+            *grain_problems(self.grains, self.region),
             *loading_problems(self.grains, self.bonds, self.stress, self.test),
             *joint_problems(self.fractures, self.stress, self.test),
             *well_problems(self.wells, self.region),

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Region, contains, distance_to_rim
+from demflow.model.region import Region, box_pairs, contains, distance_to_rim
 
 __all__ = [
     "LEAST_TOLERANCE",
@@ -42,7 +42,12 @@ class Matrix:
         "m2", default=None, above=0, help="matrix permeability, unstressed"
     )
     aperture: float | None = parameter(
-        "m", default=None, at_least=0, help="pipe aperture w0, unstressed; 0 seals the matrix"
+        "m",
+        default=None,
+        at_least=0,
+        example="10 um",
+        bare_at_most=0.1,
+        help="pipe aperture w0, unstressed; 0 seals the matrix",
     )
     half_force: float | None = parameter(
         "N/m",
@@ -66,7 +71,12 @@ class Fluid:
     """A slightly compressible liquid."""
 
     viscosity: float = parameter("Pa s", above=0, help="dynamic viscosity")
-    bulk_modulus: float = parameter("Pa", above=0, help="bulk modulus K_f = 1 / compressibility")
+    bulk_modulus: float = parameter(
+        "Pa",
+        above=0,
+        example="2.2 GPa",
+        help="bulk modulus K_f = 1 / compressibility",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -85,7 +95,7 @@ class Well:
 
     name: str
     at: tuple[float, float] = parameter("m", help="position")
-    radius: float = parameter("m", above=0, help="wellbore radius")
+    radius: float = parameter("m", above=0, example="0.1 m", help="wellbore radius")
     rate: float | None = parameter(
         "m3/s", default=None, help="constant rate; positive produces, negative injects"
     )
@@ -94,7 +104,9 @@ class Well:
         "s, m3/s", default=None, help="rate changes [[time, rate], …]; rate 0 shuts the well in"
     )
     skin_factor: float = parameter(
-        default=0.0, help="skin S; above 0 damaged rock around the well, below 0 stimulated"
+        default=0.0,
+        at_least=-20.0,
+        help="skin S; above 0 damaged rock around the well, below 0 stimulated",
     )
     wellbore_storage: float = parameter(
         "m3/Pa", default=0.0, at_least=0, help="volume that the wellbore gives per pressure fall"
@@ -194,19 +206,26 @@ class Solver:
 
 def well_problems(wells: tuple[Well, ...], region: Region) -> Problems:
     """What is wrong with where wells stand."""
-    for number, well in enumerate(wells):
-        path, at = f"wells.{well.name}", np.array([well.at])
-        if not contains(region, at)[0]:
+    if not wells:
+        return
+    at = np.array([well.at for well in wells])
+    radius = np.array([well.effective_radius for well in wells])
+    inside = contains(region, at)
+    room = np.full(len(wells), np.inf)
+    room[inside] = distance_to_rim(region, at[inside])
+    for k in np.flatnonzero(~inside | (room < radius)):
+        well, path = wells[k], f"wells.{wells[k].name}"
+        if not inside[k]:
             yield f"{path}.at", "the well lies outside the region"
-        elif (room := distance_to_rim(region, at)[0]) < well.effective_radius:
-            stimulated = well.radius <= room
-            what = f"the well reaches beyond the rim, which is {room:.3g} m away"
-            if stimulated:
-                what = f"with the radius r_w e^(−S) = {well.effective_radius:.3g} m {what}"
-            yield f"{path}.{'skin_factor' if stimulated else 'radius'}", what
-        for other in wells[:number]:
-            if math.dist(well.at, other.at) < well.effective_radius + other.effective_radius:
-                yield f"{path}.at", f"the well overlaps {other.name}"
+            continue
+        stimulated = well.radius <= room[k]
+        what = f"the well reaches beyond the rim, which is {room[k]:.3g} m away"
+        if stimulated:
+            what = f"with the radius r_w e^(−S) = {radius[k]:.3g} m {what}"
+        yield f"{path}.{'skin_factor' if stimulated else 'radius'}", what
+    for i, j in zip(*box_pairs(at - radius[:, None], at + radius[:, None]), strict=True):
+        if math.dist(at[i], at[j]) < radius[i] + radius[j]:
+            yield f"wells.{wells[j].name}.at", f"the well overlaps {wells[i].name}"
 
 
 def probe_problems(probes: tuple[Probe, ...], region: Region) -> Problems:

@@ -72,6 +72,8 @@ class _FractureProperties:
         "m",
         default=None,
         above=0,
+        example="100 um",
+        bare_at_most=0.1,
         help="hydraulic aperture; transmissivity w³ / (12 μ). One number, or a law by trace",
     )
     transmissibility_multiplier: float | None = parameter(

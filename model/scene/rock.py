@@ -6,10 +6,12 @@ import math
 from dataclasses import dataclass, replace
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
+from demflow.model.region import Region
 
-__all__ = ["Bonds", "FailureTest", "Grains", "Stress", "loading_problems"]
+__all__ = ["Bonds", "FailureTest", "Grains", "Stress", "grain_problems", "loading_problems"]
 
 LATTICES = ("square", "hexagonal")
+MOST_GRAINS = 2_000_000
 # What packings of discs at rest reach at all: equal grains 0.136 at the least, a ratio of
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
 LEAST_POROSITY, GREATEST_POROSITY = 0.135, 0.22
@@ -25,10 +27,10 @@ class Grains:
     """
 
     count: int | None = parameter(
-        default=None, at_least=1, at_most=2_000_000, help="grains inside the region"
+        default=None, at_least=1, at_most=MOST_GRAINS, help="grains inside the region"
     )
     mean_radius: float | None = parameter(
-        "m", default=None, above=0, help="mean grain radius, instead of a count"
+        "m", default=None, above=0, example="10 cm", help="mean grain radius, instead of a count"
     )
     packing: str = parameter(
         default="random",
@@ -274,6 +276,19 @@ class FailureTest:
 
     def __post_init__(self) -> None:
         check_fields(self)
+
+
+def grain_problems(grains: Grains, region: Region) -> Problems:
+    """What is wrong with the size of grains in a region: a radius stands for a count."""
+    if grains.mean_radius is None:
+        return
+    count = region.area / (math.pi * grains.mean_radius**2)
+    if count > MOST_GRAINS:
+        what = f"about {count:.2g} grains in the region, more than {MOST_GRAINS:,}"
+        yield "grains.mean_radius", what
+    elif count < 1.0:
+        what = f"a grain of {grains.mean_radius:g} m is larger than the region"
+        yield "grains.mean_radius", what
 
 
 def loading_problems(

@@ -9,7 +9,7 @@ run), 130 interrupted (what was finished is kept).
 from __future__ import annotations
 
 import argparse
-import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -27,12 +27,13 @@ from demflow.sweep.command.commands import (
     plan,
     report,
     run,
-    say,
     schema,
     status,
     verify,
 )
+from demflow.sweep.command.terminal import ready, say, settle
 from demflow.sweep.errors import ResultsError, RunError, SchedulerError
+from demflow.sweep.printable import printable
 from demflow.sweep.study.yaml_source import StudyError
 
 INTERRUPTED = 130
@@ -40,27 +41,29 @@ INTERRUPTED = 130
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
+    ready()
     options = _parser().parse_args(arguments)
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        return options.command(options)
+        status: int = options.command(options)
+        sys.stdout.flush()  # what cannot be written is told now, not when Python ends
+        return status
     except StudyError as error:
         say(str(error))
         return WRONG
     except KeyboardInterrupt:
         say("interrupted; what was finished is kept, and the next run goes on from there")
         return INTERRUPTED
-    except BrokenPipeError:
-        # the reader of our output has gone; stdout must not be flushed at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader of our output has gone
         return SOME_FAILED
     except Exception as error:
-        status = _foreseen(error)
-        if status is None:
+        foreseen = _foreseen(error)
+        if foreseen is None:
             raise
         say(f"demflow: {_told(error)}")
-        return status
+        return foreseen
     finally:
+        settle()
         signal.signal(signal.SIGTERM, before)
 
 
@@ -95,6 +98,14 @@ def _at_least_one(text: str) -> int:
     if number < 1:
         raise argparse.ArgumentTypeError(f"{number} is below 1")
     return number
+
+
+def _address(text: str) -> str:
+    """An address of a scheduler, of a form that could be one."""
+    if not re.fullmatch(r"((tcp|tls|ucx|ws|wss)://)?(\[[0-9A-Fa-f:]+\]|[^\s:/]+):\d{1,5}/?", text):
+        what = f"'{printable(text)}' is no address of a scheduler, such as tcp://10.0.0.5:8786"
+        raise argparse.ArgumentTypeError(what)
+    return text
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -137,6 +148,7 @@ def _parser() -> argparse.ArgumentParser:
     running = add_workers(add_results(add(run)))
     running.add_argument(
         "--scheduler",
+        type=_address,
         metavar="tcp://HOST:PORT",
         help="use the workers of this Dask scheduler, wherever they are: products travel "
         "to them and back (tls:// with Dask's own configuration)",

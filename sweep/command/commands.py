@@ -11,6 +11,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from demflow.sweep.command.terminal import say, show
 from demflow.sweep.study.yaml_source import StudyError
 
 if TYPE_CHECKING:
@@ -64,9 +65,9 @@ def check(options: argparse.Namespace) -> int:
         if options.json:
             keys = ("path", "line", "column", "message")
             found = [{key: getattr(p, key) for key in keys} for p in error.problems]
-            _print_json({"valid": False, "problems": found})
+            _print_json({"valid": False, "count": error.count, "problems": found})
         else:
-            print(error)
+            show(str(error))
         return WRONG
     cases = _product(study.shape)
     told = told_traces(study)
@@ -74,9 +75,9 @@ def check(options: argparse.Namespace) -> int:
         good = {"valid": True, "problems": [], "study": study.name, "cases": cases}
         _print_json(good | {"traces": told})
     else:
-        print(f"{options.study}: valid, {_count(cases, 'case')}")
+        show(f"{options.study}: valid, {_count(cases, 'case')}")
         for line in told:
-            print(line)
+            show(line)
     return GOOD
 
 
@@ -89,9 +90,9 @@ def plan(options: argparse.Namespace) -> int:
     if options.json:
         _print_json(told)
         return GOOD
-    print(f"{_count(told['cases'], 'case')}, {options.workers} workers")
+    show(f"{_count(told['cases'], 'case')}, {options.workers} workers")
     if told["impossible"]:
-        print(f"{_count(told['impossible'], 'case')} cannot be: see demflow status")
+        show(f"{_count(told['impossible'], 'case')} cannot be: see demflow status")
     rows = [("stage", "runs", "shared", "stored", "failed", "to run", "each", "time", "disk")]
     for stage in (stage for stage in told["stages"] if stage["runs"]):
         counts = (stage[key] for key in ("runs", "shared", "stored", "failed", "to_run"))
@@ -108,16 +109,16 @@ def plan(options: argparse.Namespace) -> int:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for name, *cells in rows:
         numbers = (c.rjust(w) for c, w in zip(cells, widths[1:], strict=True))
-        print("  ".join((name.ljust(widths[0]), *numbers)))
+        show("  ".join((name.ljust(widths[0]), *numbers)))
     for name, unit in (("seconds", duration), ("bytes", size), ("memory", size)):
         label = {"seconds": "time", "bytes": "disk"}.get(name, name)
         more = "" if told[name] is not None else "at least "
         least = told["at_least"][name]
-        print(f"expected {label}: {'?' if more and not least else more + unit(least)}")
+        show(f"expected {label}: {'?' if more and not least else more + unit(least)}")
     if told["unknown"]:
-        print(f"?: never run on this machine: {', '.join(told['unknown'])}")
+        show(f"?: never run on this machine: {', '.join(told['unknown'])}")
     time, memory = told["limits"]["time"], told["limits"]["memory"]
-    print(f"limits of a case: {duration(time)}, {size(memory)} (the study's limits, or by default)")
+    show(f"limits of a case: {duration(time)}, {size(memory)} (the study's limits, or by default)")
     return GOOD
 
 
@@ -150,11 +151,11 @@ def status(options: argparse.Namespace) -> int:
         told = {"study": prepared.study.name, "cases": len(verdicts), "done": done}
         _print_json({**told, "failed": failed, "missing": missing, "failures": cases})
     else:
-        print(f"{len(verdicts)} cases: {done} done, {failed} failed, {missing} missing")
+        show(f"{len(verdicts)} cases: {done} done, {failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
-            print(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
+            show(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:
-            print(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
+            show(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
         others = len(bad) - int(again.sum()) - len(prepared.plan.impossible)
         for message in _what_next(int(again.sum()), others):
             say(message)
@@ -190,8 +191,8 @@ def verify(options: argparse.Namespace) -> int:
         _print_json(told)
     else:
         for path, what in found.damaged:
-            print(f"{path}: {what}")
-        print(f"{_count(found.checked, 'file')} checked, {len(found.damaged)} damaged")
+            show(f"{path}: {what}")
+        show(f"{_count(found.checked, 'file')} checked, {len(found.damaged)} damaged")
     if found.damaged and found.set_aside:
         say("damaged files were set aside; the next run makes them again")
     return SOME_FAILED if found.damaged else GOOD
@@ -213,7 +214,7 @@ def clean(options: argparse.Namespace) -> int:
     if options.json:
         _print_json({"files": len(found.files), "bytes": found.bytes, "freed": freed})
     elif freed:
-        print(f"freed {_count(len(found.files), 'file')}, {size(found.bytes)}")
+        show(f"freed {_count(len(found.files), 'file')}, {size(found.bytes)}")
     return GOOD
 
 
@@ -254,7 +255,7 @@ def _tell_places(finished: Finished, options: argparse.Namespace) -> None:
         _print_json({**told, "computed": computed, **{k: str(v) for k, v in places.items()}})
         return
     for name, path in places.items():
-        print(f"{name:8} {path}")
+        show(f"{name:8} {path}")
 
 
 def _at(prepared: Project, case: int) -> dict[str, Any]:
@@ -295,13 +296,8 @@ def _agreed(question: str) -> bool:
     return sys.stdin.readline().strip().lower() in ("y", "yes")
 
 
-def say(message: str) -> None:
-    """Tell a user something."""
-    print(message, file=sys.stderr, flush=True)
-
-
 def _print_json(content: Any) -> None:
-    print(json.dumps(content, indent=2))
+    show(json.dumps(content, indent=2))
 
 
 def _count(number: int, thing: str) -> str:

@@ -14,9 +14,17 @@ from dataclasses import replace as with_changes
 from typing import Any, NamedTuple
 
 from demflow.model import quantities
+from demflow.sweep.study.blocks import LONGEST_NAME
 from demflow.sweep.study.scene import SCENE, spaced
-from demflow.sweep.study.sections import NoParameter, Parameter, Reading, report_unknown, whole
-from demflow.sweep.study.units import UnitError, example, nearest, parse_quantity, to_degrees
+from demflow.sweep.study.sections import (
+    NoParameter,
+    Parameter,
+    Reading,
+    hinted,
+    report_unknown,
+    whole,
+)
+from demflow.sweep.study.units import UnitError, example, parse_quantity, to_degrees
 from demflow.sweep.study.yaml_source import Mapping, Node, Place, Scalar, Sequence
 
 MAX_CASES = 100_000
@@ -30,6 +38,8 @@ RESERVED = frozenset(
     for key, quantity in table.items()
     for name in (key, *quantity.dimensions)
 ) | {"status", "message", "domain", "pipe", "grain", "contact", "crack"}
+# arguments of the methods by which points of a dataset are selected by their names
+SELECTION = frozenset({"indexers", "method", "tolerance", "drop", "missing_dims"})
 
 
 @dataclass(frozen=True)
@@ -96,6 +106,8 @@ def read_drafts(vary: Node | None, reading: Reading) -> list[Draft]:
         reading.supplied.update(paths)
         if len(reading.problems) == before:
             drafts.append(Draft(name, place, tuple(paths), tuple(places), node))
+        else:
+            reading.unreadable.update(paths)
     return drafts
 
 
@@ -134,10 +146,10 @@ def read_axes(
             for path, place in zip(draft.paths, draft.path_places, strict=True)
         ]
         parameters = [parameter for parameter in found if parameter is not None]
-        if len(parameters) < len(found):
-            continue
-        points = _points(draft, parameters, reading, ends_only)
-        if points is None:
+        whole = len(parameters) == len(found)
+        points = _points(draft, parameters, reading, ends_only) if whole else None
+        if points is None:  # what it should give is not there
+            reading.unreadable.update(draft.paths)
             continue
         _check_distinct(draft.name, points, reading)
         axis = Axis(
@@ -158,6 +170,11 @@ def _check_name(name: str, place: Place, reading: Reading) -> None:
     if not (name.isascii() and name.isidentifier() and not name.startswith("_")):
         message = f"axis '{name}': a name is a letter followed by letters, digits and '_'"
         reading.report(place, message)
+    elif len(name) > LONGEST_NAME:
+        reading.report(place, f"axis '{name}': a name has at most {LONGEST_NAME} letters")
+    elif name in SELECTION:
+        what = f"'{name}' cannot be told from an argument of xarray's sel; try '{name}_axis'"
+        reading.report(place, f"axis '{name}': {what} or the like")
     elif name in RESERVED:
         reading.report(
             place,
@@ -201,7 +218,7 @@ def _find(
             return None
     valid = sorted(SCENE.paths(values, ""))
     short = path.removeprefix("scene.")
-    like = short if short in valid else nearest(path, valid)
+    like = short if short in valid else reading.nearest(path, valid)
     if like is None:  # the head may be right where the tail is not
         like = next(iter(sorted(p for p in valid if p.startswith(parts[0] + "."))), None)
     hint = f"did you mean '{like}'?" if like else "a path starts inside scene, as in stress.yy"
@@ -313,8 +330,7 @@ def _count(node: Node, name: str, reading: Reading) -> int:
 def _spacing(node: Node | None, name: str, reading: Reading) -> str:
     word = "linear" if node is None else node.text if isinstance(node, Scalar) else "a list"
     if node is not None and word not in ("linear", "log"):
-        like = nearest(word, ("linear", "log"))
-        hint = f"; did you mean '{like}'?" if like else ""
+        hint = hinted(word, ("linear", "log"), reading)
         reading.report(
             node.place, f"axis '{name}': spacing '{word}' is neither linear nor log{hint}"
         )

@@ -21,18 +21,24 @@ from demflow.sweep.study.sections import (
     Parameter,
     Reading,
     Section,
+    hinted,
     join,
     report_unknown,
     shape,
     where,
 )
-from demflow.sweep.study.units import example, nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Scalar, Sequence
 
 KindWords = dict[type, tuple[str, str]]
 Specials = dict[type, dict[str, Section]]
 
-NAME = re.compile(r"\w[\w-]*")  # of a well, a fracture, a probe; dots belong to paths
+LONGEST_NAME = 100  # bytes; files and datasets take some 250 of a whole path
+NAME_RULE = f"letters, digits, '-' and '_', {LONGEST_NAME} at most"
+
+
+def is_name(text: str) -> bool:
+    """Whether a text can name a well, a fracture, a probe; dots belong to paths."""
+    return re.fullmatch(r"\w[\w-]*", text) is not None and len(text.encode()) <= LONGEST_NAME
 
 
 class Member(NamedTuple):
@@ -75,8 +81,9 @@ class Block(Section):
             inner = join(path, key)
             section = self.members[key].section
             reading.places[inner] = node.keys[key] if isinstance(value, Mapping) else value.place
-            if not (isinstance(value, Scalar) and value.empty):
-                values[key] = section.read(value, inner, reading)
+            read = None if _empty(value) else section.read(value, inner, reading)
+            if read is not None:
+                values[key] = read
         for key, member in self.members.items():
             inner = join(path, key)
             if key in meant:
@@ -90,12 +97,17 @@ class Block(Section):
         return values
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]], **more: Any) -> Any:
-        """The dataclass; where it refuses the values, one that was not checked."""
+        """The dataclass; where it refuses the values, or lacks some, one that was not checked."""
+        missing = {k: m for k, m in self.members.items() if m.required and k not in values}
         given = {
             member.name: member.section.build(values[key], join(path, key), problems)
             for key, member in self.members.items()
             if key in values
         } | more
+        if missing:
+            problems += [(join(path, key), "it is missing") for key in missing]
+            given |= {member.name: member.section.stand_in() for member in missing.values()}
+            return _unchecked(self.cls, given)
         try:
             return self.cls(**given)
         except SceneError as error:
@@ -115,7 +127,7 @@ class Block(Section):
     def paths(self, values: Any, path: str) -> Iterator[str]:
         """The paths of its members, without optional blocks that are not there."""
         for key, member in self.members.items():
-            if key in values or isinstance(member.section, Parameter | Law):
+            if values.get(key) is not None or isinstance(member.section, Parameter | Law):
                 yield from member.section.paths(values.get(key), join(path, key))
 
     def stand_in(self) -> Any:
@@ -131,25 +143,36 @@ class OneOf(Section):
     blocks: dict[str, Block | Forms]
 
     def read(self, node: Node, path: str, reading: Reading) -> Any:
-        """Values by key, the tag included; None where the kind is not known."""
-        word = node.entries.get(self.tag) if isinstance(node, Mapping) else None
-        if isinstance(word, Scalar) and word.text in self.blocks:
-            block = self.blocks[word.text]
-            return {self.tag: word.text, **block.read(node, path, reading, also=(self.tag,))}
+        """Values by key, the tag included; a kind that is not known is read as the likeliest."""
         kinds = ", ".join(self.blocks)
-        if word is None:
-            place = reading.place(path) if isinstance(node, Mapping) else node.place
-            reading.report(place, f"{where(path)} lacks '{self.tag}', one of {kinds}", path)
-        else:
-            text = word.text if isinstance(word, Scalar) else "this"
-            like = nearest(text, self.blocks)
-            hint = f"; did you mean '{like}'?" if like else ""
-            message = f"{path}.{self.tag}: '{text}' is none of {kinds}{hint}"
-            reading.report(word.place, message, path)
-        return None
+        if not isinstance(node, Mapping):
+            reading.report(node.place, f"{where(path)} lacks '{self.tag}', one of {kinds}", path)
+            return None
+        word = node.entries.get(self.tag)
+        kind = word.text if isinstance(word, Scalar) else ""
+        if kind not in self.blocks:
+            if word is None:
+                message = f"{where(path)} lacks '{self.tag}', one of {kinds}"
+                reading.report(reading.place(path), message, path)
+            else:
+                message = f"{path}.{self.tag}: '{kind or 'this'}' is none of {kinds}"
+                hint = hinted(kind, self.blocks, reading)
+                reading.report(word.place, f"{message}{hint}", path)
+            kind = self._likeliest(kind, node, reading)
+        block = self.blocks[kind]
+        return {self.tag: kind, **block.read(node, path, reading, also=(self.tag,))}
+
+    def _likeliest(self, word: str, node: Mapping, reading: Reading) -> str:
+        """The kind that a misspelt word, or the keys beside it, most likely stand for."""
+        return reading.nearest(word, self.blocks) or max(
+            self.blocks, key=lambda kind: len(self.blocks[kind].members.keys() & node.entries)
+        )
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]], **more: Any) -> Any:
-        """The dataclass of that kind."""
+        """The dataclass of that kind; None where a kind was not given."""
+        if self.tag not in values:
+            problems.append((path, f"it lacks '{self.tag}', one of {', '.join(self.blocks)}"))
+            return None
         return self.blocks[values[self.tag]].build(values, path, problems, **more)
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
@@ -172,6 +195,11 @@ class Forms(Section):
 
     blocks: tuple[Block, ...]
 
+    @property
+    def members(self) -> dict[str, Member]:
+        """The keys of all forms."""
+        return {key: member for block in self.blocks for key, member in block.members.items()}
+
     def read(
         self, node: Node, path: str, reading: Reading, also: tuple[str, ...] = ()
     ) -> dict[str, Any]:
@@ -183,13 +211,14 @@ class Forms(Section):
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]], **more: Any) -> Any:
         """The dataclass of that form."""
-        return self.blocks[values[FORM]].build(values, path, problems, **more)
+        return self._form(values).build(values, path, problems, **more)
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
         """The parameter of the form that is there, or of one that its keys fit as well."""
-        for number in (values[FORM], *self._known(set(values))):
+        others = (self.blocks[number] for number in self._known(set(values)))
+        for block in (self._form(values), *others):
             try:
-                return self.blocks[number].find(values, parts)
+                return block.find(values, parts)
             except NoParameter as reason:
                 if str(reason):
                     raise
@@ -197,7 +226,10 @@ class Forms(Section):
 
     def paths(self, values: Any, path: str) -> Iterator[str]:
         """The paths of the form that is there."""
-        yield from self.blocks[values[FORM]].paths(values, path)
+        yield from self._form(values).paths(values, path)
+
+    def _form(self, values: Any) -> Block:
+        return self.blocks[values.get(FORM, 0)]
 
     def _known(self, keys: set[str]) -> list[int]:
         """The forms by how many of the keys they know, most first; then in their order."""
@@ -252,7 +284,7 @@ class Law(Section):
     def _law(self, values: Any) -> Block | None:
         if not isinstance(values, dict):
             return None
-        return next(block for key, block in self.laws.items() if key in values)
+        return next((block for key, block in self.laws.items() if key in values), None)
 
 
 @dataclass(frozen=True)
@@ -272,14 +304,14 @@ class Named(Section):
             reading.places[inner] = (
                 value.place if isinstance(self.inner, Parameter) else node.keys[name]
             )
-            if not NAME.fullmatch(name) and not isinstance(self.inner, Parameter):
-                message = f"'{name}' is no name; use letters, digits, '-' and '_'"
+            if not isinstance(self.inner, Parameter) and not is_name(name):
+                message = f"'{name}' is no name; use {NAME_RULE}"
                 reading.report(node.keys[name], message, inner)
-                continue
-            if isinstance(value, Scalar) and value.empty:
+            if _empty(value):
                 reading.report(value.place, f"{where(inner)} is empty", inner)
-                continue
-            read = self.inner.read(value, inner, reading)
+                read = self.inner.stand_in()
+            else:
+                read = self.inner.read(value, inner, reading)
             if read is not None:
                 values[name] = read
         return values
@@ -292,7 +324,7 @@ class Named(Section):
         for name, value in values.items():
             one = self.inner.build(value, join(path, name), problems, name=name)
             made += one if isinstance(one, list) else [one]
-        return tuple(made)
+        return tuple(one for one in made if one is not None)
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
         """The parameter of one of the names."""
@@ -330,9 +362,10 @@ class Words(Section):
         for item in node.items:
             text = item.text if isinstance(item, Scalar) else "this"
             if text not in self.choices:
-                like = nearest(text, self.choices)
-                hint = f"did you mean '{like}'?" if like else f"valid are {', '.join(self.choices)}"
-                reading.report(item.place, f"{path}: unknown word '{text}'; {hint}", path)
+                hint = (
+                    hinted(text, self.choices, reading) or f"; valid are {', '.join(self.choices)}"
+                )
+                reading.report(item.place, f"{path}: unknown word '{text}'{hint}", path)
             elif text in words:
                 reading.report(item.place, f"{path}: '{text}' is named twice", path)
             else:
@@ -430,6 +463,10 @@ def _unchecked(cls: type[Any], given: dict[str, Any]) -> Any:
     return instance
 
 
+def _empty(node: Node) -> bool:
+    return isinstance(node, Scalar) and node.empty
+
+
 def _meant(section: Section) -> str:
     """What a missing key is for, with an example."""
     if isinstance(section, Law):
@@ -438,9 +475,7 @@ def _meant(section: Section) -> str:
         if section.choices:
             return f" ({section.help}), one of {', '.join(section.choices)}"
         arguments = typing.get_args(section.type)
-        shown = shape(arguments, section.unit) if arguments else example(section.unit)
-        if section.type is int:
-            shown = "100"
+        shown = shape(arguments, section.unit) if arguments else section.example
         return f" ({section.help}), for instance {shown}"
     if isinstance(section, Block):
         return f", a mapping with the keys {', '.join(section.members)}"

@@ -33,7 +33,7 @@ from demflow.sweep.study.expect import EXPECT, Expectation
 from demflow.sweep.study.overrides import overlaid
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.scenes import SceneBuilder
-from demflow.sweep.study.sections import NamedFile, Reading, report_unknown
+from demflow.sweep.study.sections import NamedFile, Reading, TooManyProblems, report_unknown
 from demflow.sweep.study.units import describe, format_quantity
 from demflow.sweep.study.variants import (
     VariantAxis,
@@ -55,6 +55,8 @@ __all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyE
 
 DAY = 86400.0  # s
 MOST_COMBINATIONS = 2_000  # checked one by one before anything runs
+NAMED = ("wells", "fractures", "probes")
+MANY_NAMES = 50  # of them, from which on fewer combinations are checked
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
     *("limits", "figures", "expect", "smoke"),
@@ -167,8 +169,16 @@ def load_study(path: str | Path, *, smoke: bool = False) -> Study:
 
 def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None, Reading]:
     """The study that a tree of nodes stands for, or None where there are problems."""
-    entries, keys = root.entries, root.keys
     reading = Reading(folder=source.path.parent)
+    try:
+        return _study_of(source, root, reading), reading
+    except TooManyProblems:
+        return None, reading
+
+
+def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> Study | None:
+    """The study that a tree of nodes stands for, or None; `reading` gets the problems."""
+    entries, keys = root.entries, root.keys
     meant: set[str | None] = set()  # keys that misspelt ones stand for
     for key, place in keys.items():
         if key not in KEYS:
@@ -186,7 +196,7 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
     axes = read_axes(drafts, values, reading, ends_only=count > MAX_CASES)
     if variants is not None:
         if not found_everywhere(drafts, variants, scenes, reading):
-            return None, reading
+            return None
         axes.insert(variants.position, variants.located(scenes))
     axes = labelled(axes)
     promised = _promised(entries.get("expect"), variants, reading)
@@ -204,8 +214,8 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
     _check_scenes(values, axes, reading, combine=count <= MAX_CASES)
     _check_figures(blocks["figures"], values, axes, reading)
     if reading.problems:
-        return None, reading
-    study = Study(
+        return None
+    return Study(
         name=name,
         title=title,
         path=source.path,
@@ -219,7 +229,6 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
         promised=promised,
         files=reading.files,
     )
-    return study, reading
 
 
 def _name(node: Node | None, reading: Reading) -> str:
@@ -263,8 +272,10 @@ def _scenes_of(
     known |= {*reading.problems}
     for point in variants.points[1:]:
         inner = Reading(supplied=reading.supplied, folder=reading.folder, files=reading.files)
-        scenes.append(_scene_values(point.tree, meant, inner))
-        reading.problems += [problem for problem in inner.problems if problem not in known]
+        try:
+            scenes.append(_scene_values(point.tree, meant, inner))
+        finally:
+            reading.problems += [problem for problem in inner.problems if problem not in known]
         reading.unreadable |= inner.unreadable
         known |= {*inner.problems}
     return scenes
@@ -338,11 +349,13 @@ def _check_scenes(
     origin = (0,) * len(axes)
     at_origin: set[tuple[str, str]] = set()
     seen: set[tuple[str, str]] = set()
-    for index in _indices([len(axis.values) for axis in axes], combine):
+    named = sum(len(values.get(key) or ()) for key in NAMED)
+    most = MOST_COMBINATIONS // (1 + named // MANY_NAMES)
+    for index in _indices([len(axis.values) for axis in axes], combine, most):
         moved = [number for number, k in enumerate(index) if k]
         for problem in builder.problems(index, whole=whole):
             path, what = problem
-            if reading.spoilt(path) or problem in at_origin:
+            if reading.spoilt(path) or problem in at_origin or _in_part(path, reading):
                 continue
             if len(moved) > 1 and problem in seen:
                 continue
@@ -362,27 +375,35 @@ def _check_scenes(
             reading.report(place, f"{path}: {what}{suffix}" if path else f"{what}{suffix}")
 
 
-def _indices(shape: list[int], combine: bool) -> Iterator[tuple[int, ...]]:
+def _in_part(path: str, reading: Reading) -> bool:
+    """Whether it is about a well, a fracture or a probe of which only a part could be read."""
+    block, *rest = path.split(".")
+    if block not in NAMED or not rest:
+        return False
+    return any(one.startswith(f"{block}.{rest[0]}.") for one in reading.unreadable)
+
+
+def _indices(shape: list[int], combine: bool, most: int) -> Iterator[tuple[int, ...]]:
     """The first of all, each value of each axis alone, then combinations while they are few.
 
-    All combinations up to the bound; else those of two axes, if these are few enough. Of an axis
-    longer than the bound, values are taken at even distances and at its end.
+    All combinations up to the most; else those of two axes, if these are few enough. Of an axis
+    longer than that, values are taken at even distances and at its end.
     """
     origin = (0,) * len(shape)
     yield origin
     for number, length in enumerate(shape):
-        stride = -(-length // MOST_COMBINATIONS)
+        stride = -(-length // max(most, 2))
         for k in sorted({*range(1, length, stride), length - 1} - {0}):
             yield (*origin[:number], k, *origin[number + 1 :])
     if not combine:
         return
-    if math.prod(shape) <= MOST_COMBINATIONS:
+    if math.prod(shape) <= most:
         for index in itertools.product(*map(range, shape)):
             if sum(k > 0 for k in index) > 1:
                 yield index
         return
     pairs = list(itertools.combinations(range(len(shape)), 2))
-    if sum((shape[a] - 1) * (shape[b] - 1) for a, b in pairs) <= MOST_COMBINATIONS:
+    if sum((shape[a] - 1) * (shape[b] - 1) for a, b in pairs) <= most:
         for a, b in pairs:
             for i, j in itertools.product(range(1, shape[a]), range(1, shape[b])):
                 yield tuple(i if k == a else j if k == b else 0 for k in range(len(shape)))

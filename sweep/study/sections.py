@@ -12,19 +12,34 @@ import math
 import re
 import typing
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from demflow.model.parameters import bound_problem
-from demflow.sweep.study.units import UnitError, example, nearest, parse_quantity
-from demflow.sweep.study.yaml_source import Node, Place, Problem, Scalar, Sequence
+from demflow.sweep.study.units import (
+    UnitError,
+    bare,
+    decimal_comma,
+    example,
+    in_unit_of,
+    nearest,
+    parse_quantity,
+)
+from demflow.sweep.study.yaml_source import MOST_TOLD, Node, Place, Problem, Scalar, Sequence
 
 # keys that stand beside `scene` in a study although a scene (or nothing else) holds them
 BESIDE_SCENE = ("observe", "solver", "limits", "figures", "expect", "vary", "smoke")
 
 KEPT = "files"  # folder beside a kept study, with copies of what it names
+
+
+MOST_NOTED = 2_000  # problems after which reading stops
+
+
+class TooManyProblems(Exception):
+    """Enough is wrong with a study to stop reading it."""
 
 
 class NoParameter(LookupError):
@@ -50,10 +65,19 @@ class Reading:
     files: dict[str, NamedFile] = field(default_factory=dict)  # by the name of their kept copy
 
     def report(self, place: Place, message: str, path: str | None = None) -> None:
-        """Note a problem; `path` is the parameter that cannot be used because of it."""
+        """Note a problem; `path` is the parameter that cannot be used because of it.
+
+        Raises TooManyProblems where going on would serve nobody.
+        """
+        if len(self.problems) >= MOST_NOTED:
+            raise TooManyProblems
         self.problems.append(Problem(*place, message))
         if path is not None:
             self.unreadable.add(path)
+
+    def nearest(self, name: str, valid: Iterable[str]) -> str | None:
+        """The valid name that a given one most likely stands for, as long as anyone reads that."""
+        return nearest(name, valid) if len(self.problems) < MOST_TOLD else None
 
     def place(self, path: str) -> Place:
         """Where a path is written, or its nearest ancestor that is."""
@@ -115,18 +139,40 @@ class Parameter(Section):
         """The words that are allowed, or None."""
         return self.declared.metadata.get("choices")
 
+    @property
+    def example(self) -> str:
+        """A value as a study has it."""
+        if self.type is int:
+            return "100"
+        return self.declared.metadata.get("example") or example(self.unit)
+
     def read(self, node: Node, path: str, reading: Reading) -> Any:
         """Value in SI."""
         before = len(reading.problems)
         value = self._value(node, self.type, self.unit, path, reading)
-        if len(reading.problems) == before:
-            what = bound_problem(self.declared, value)
+        if len(reading.problems) > before:
+            return value
+        for part, one in _leaves(node, value):
+            what = self._bound_problem(part, one, reading)
             if what is not None:
-                like = nearest(value, self.choices) if self.choices else None
-                hint = f"; did you mean '{like}'?" if like else ""
-                reading.report(node.place, f"{path}: {what}{hint}", path)
-                return value if self.choices is None else self.choices[0]
+                reading.report(part.place, f"{path}: {what}", path)
+                return self.stand_in() if self.choices is None else self.choices[0]
         return value
+
+    def _bound_problem(self, node: Node, value: Any, reading: Reading) -> str | None:
+        """What is wrong with one value that was read, in the words of whoever wrote it."""
+        if not isinstance(node, Scalar) or isinstance(value, str | bool):
+            what = bound_problem(self.declared, value)
+            hint = hinted(value, self.choices, reading) if what and self.choices else ""
+            return what and f"{what}{hint}"
+        if bound_problem(self.declared, value) is None:
+            return None
+        show = str if ", " in self.unit else in_unit_of(node.text, self.unit)
+        what = bound_problem(self.declared, value, show)
+        percent = self.type is float and self.unit == "1" and bare(node.text)
+        if what and percent and bound_problem(self.declared, value / 100.0) is None:
+            what += f"; did you mean {node.text.strip()} %?"
+        return what
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
         """Itself, at the end of a path."""
@@ -155,10 +201,25 @@ class Parameter(Section):
         try:
             if kind is bool:
                 return _truth(node.text, path)
-            return whole(node.text, path) if kind is int else parse_quantity(node.text, unit, path)
+            return whole(node.text, path) if kind is int else self._number(node.text, unit, path)
         except UnitError as error:
             reading.report(node.place, str(error), path)
             return _nothing(kind)
+
+    def _number(self, text: str, unit: str, path: str) -> float:
+        """A quantity; a number without a unit is SI, where that can be meant. Raises UnitError."""
+        one = self.declared.metadata.get("example") if unit == self.unit else None
+        value = parse_quantity(text, unit, path, one)
+        if not value or not bare(text):
+            return value
+        if unit == "rad":
+            said = f"give {text} deg or {text} rad"
+            raise UnitError(f"{path}: an angle of {text} lacks its unit; {said}")
+        most = self.declared.metadata.get("bare_at_most")
+        if most is not None and abs(value) > most:
+            said = f"a number without a unit is in {unit}, and {value:g} {unit} is hardly meant"
+            raise UnitError(f"{path}: {text} lacks its unit: {said}; for instance {self.example}")
+        return value
 
     def _list(
         self, node: Node, kinds: tuple[Any, ...], unit: str, path: str, reading: Reading
@@ -166,9 +227,12 @@ class Parameter(Section):
         endless = kinds[-1] is Ellipsis
         if not isinstance(node, Sequence) or not (endless or len(node.items) == len(kinds)):
             wanted = "a list" if endless else f"a list of {len(kinds)} values"
-            reading.report(
-                node.place, f"{path} is {wanted}, for instance {shape(kinds, unit)}", path
-            )
+            message = f"{path} is {wanted}, for instance {shape(kinds, unit)}"
+            if isinstance(node, Sequence) and len(node.items) > len(kinds):
+                message += "; a comma parts values, decimals take a point"
+            elif isinstance(node, Scalar) and (comma := decimal_comma(node.text)):
+                message += f"; {comma}"
+            reading.report(node.place, message, path)
             return () if endless else tuple(_nothing(kind) for kind in kinds)
         if endless:
             kinds, units = kinds[:1] * len(node.items), (unit,) * len(node.items)
@@ -192,14 +256,31 @@ def where(path: str) -> str:
     return path if path.split(".")[0] in BESIDE_SCENE else f"scene.{path}"
 
 
+def hinted(name: str, valid: Iterable[str], reading: Reading) -> str:
+    """What may have been meant by a name that is not known, as the end of a message."""
+    like = reading.nearest(name, valid)
+    return f"; did you mean '{like}'?" if like else ""
+
+
 def report_unknown(
     key: str, place: Place, valid: tuple[str, ...], path: str, reading: Reading, at: str = ""
 ) -> str | None:
     """Report a key that does not exist, with the nearest that does, which is returned."""
-    like = nearest(key, valid)
+    like = reading.nearest(key, valid)
     hint = f"did you mean '{like}'?" if like else f"valid are {', '.join(valid)}"
+    if like is None and re.match(r"\d", key):  # {radius: 0,1 m} is two keys
+        hint = "a comma parts keys, decimals take a point"
     reading.report(place, f"unknown key '{key}' in {at or where(path)}; {hint}")
     return like
+
+
+def _leaves(node: Node, value: Any) -> Iterator[tuple[Node, Any]]:
+    """The single values of a list of lists, each with its node."""
+    if isinstance(node, Sequence) and isinstance(value, tuple):
+        for item, part in zip(node.items, value, strict=True):
+            yield from _leaves(item, part)
+    else:
+        yield node, value
 
 
 def _nothing(kind: Any) -> Any:

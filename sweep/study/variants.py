@@ -8,17 +8,16 @@ cases should end.
 
 from __future__ import annotations
 
-import re
 from typing import Any, NamedTuple
 
 from demflow.sweep.study.axes import Axis, Draft, Located
+from demflow.sweep.study.blocks import NAME_RULE, is_name
 from demflow.sweep.study.overrides import overlaid
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.sections import BESIDE_SCENE, NoParameter, Reading
 from demflow.sweep.study.yaml_source import Mapping, Node, Place, Scalar, Sequence
 
 KEYS = ("variants", "values")
-NAME = re.compile(r"\w[\w.-]*")
 FIXED = tuple(key for key in BESIDE_SCENE if key not in ("observe", "solver", "expect"))
 
 
@@ -127,8 +126,8 @@ def _chosen(
                 reading.report(item.place, message)
         names = {item.text: item.place for item in chosen}
     for key in names:
-        if not NAME.fullmatch(key):
-            message = f"'{key}' is no name; use letters, digits, '-', '_' and '.'"
+        if not is_name(key.replace(".", "-")):
+            message = f"'{key}' is no name; use '.', {NAME_RULE}"
             reading.report(variants.keys[key], message)
     return [(key, at, variants.entries[key]) for key, at in names.items()]
 

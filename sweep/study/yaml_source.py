@@ -1,21 +1,23 @@
 """YAML as a tree whose every key and value knows its line and column.
 
 A study needs mappings, lists and plain words only. What could surprise (duplicate
-keys, anchors, tags, several documents) or exhaust (size, depth) is refused
-here, and scalars stay text: what a text means is decided where its unit is known.
+keys, anchors, tags, several documents, characters that nobody sees) or exhaust (size, depth) is
+refused here, and scalars stay text: what a text means is decided where its unit is known. So
+the parser's events are all that is taken of it, and it need not agree on what a number is.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
+import unicodedata
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import (
+import yaml
+from yaml.events import (
     AliasEvent,
     DocumentStartEvent,
     MappingEndEvent,
@@ -25,8 +27,19 @@ from ruamel.yaml.events import (
     SequenceStartEvent,
 )
 
+from demflow.sweep.printable import printable, shortened
+
 LARGEST_FILE = 1_000_000  # bytes
 DEEPEST_NESTING = 20
+MOST_TOLD = 100  # problems of one study; who has more looks for one cause
+LONGEST_MESSAGE = 1000  # characters; it may quote what is written
+
+# libyaml where it is there, as in every wheel: some thirty times faster
+LOADER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+# Controls of the terminal, lone surrogates, and marks that turn the direction of writing.
+UNSEEN = re.compile(
+    r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]"
+)
 
 
 class Place(NamedTuple):
@@ -50,15 +63,28 @@ class Problem:
 
 
 class StudyError(Exception):
-    """A study that cannot be run. `problems` holds everything wrong with it, in file order."""
+    """A study that cannot be run. `problems` holds what is wrong with it, in file order.
 
-    def __init__(self, path: str | Path, problems: list[Problem]):
-        self.path = str(path)
-        self.problems = sorted(replace(problem, path=self.path) for problem in set(problems))
-        super().__init__("\n".join(str(problem) for problem in self.problems))
+    Where that is more than a hundred things, the first hundred; `count` says how many there are.
+    """
+
+    def __init__(self, path: str | Path, problems: list[Problem], count: int | None = None):
+        self.path = printable(str(path))
+        found = sorted({_told(problem, self.path) for problem in problems})
+        self.problems, self.count = found[:MOST_TOLD], count or len(found)
+        lines = [str(problem) for problem in self.problems]
+        if self.count > len(lines):
+            lines.append(f"{self.path}: … and {self.count - len(lines):,} more problems")
+        super().__init__("\n".join(lines))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (type(self), (self.path, self.problems))
+        return (type(self), (self.path, self.problems, self.count))
+
+
+def _told(problem: Problem, path: str) -> Problem:
+    """A problem as a message that can be shown, whatever it quotes."""
+    message = printable(shortened(problem.message, LONGEST_MESSAGE))
+    return replace(problem, path=path, message=message)
 
 
 @dataclass(frozen=True)
@@ -161,7 +187,7 @@ def _compose(path: Path, text: str, problems: list[Problem]) -> Node | None:
     composer = _Composer(problems)
     root: Node | None = None
     try:
-        events = iter(YAML(typ="safe", pure=True).parse(text))
+        events = iter(yaml.parse(text, Loader=LOADER))
         for event in events:
             if not isinstance(event, DocumentStartEvent):
                 continue
@@ -170,27 +196,28 @@ def _compose(path: Path, text: str, problems: list[Problem]) -> Node | None:
             root = composer.node(next(events), events, 1)
     except _TooDeep as error:
         raise _refusal(path, f"nested deeper than {DEEPEST_NESTING} levels", error.place) from None
-    except MarkedYAMLError as error:
+    except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
-        place = Place(mark.line + 1, mark.column + 1) if mark else Place(1, 1)
-        words = [str(part) for part in (error.problem, error.context) if part]
-        said = ", ".join(words)
+        place = Place(mark.line + 1, mark.column + 1) if mark else START
+        said = ", ".join(str(part) for part in (error.problem, error.context) if part)
         hints = [hint for mark, hint in _HINTS.items() if mark in said]
         raise _refusal(path, "; ".join(["bad YAML: " + said, *hints[:1]]), place) from None
-    except YAMLError as error:
-        at = getattr(error, "position", 0)
-        before = text[: at if isinstance(at, int) else 0]
+    except yaml.YAMLError as error:
+        before = text[: getattr(error, "position", 0)]
         place = Place(before.count("\n") + 1, len(before) - (before.rfind("\n") + 1) + 1)
-        raise _refusal(path, f"bad YAML: {str(error).splitlines()[0]}", place) from None
+        said = getattr(error, "reason", "") or "it cannot be read"
+        raise _refusal(path, f"bad YAML: {said}", place) from None
     return root
 
 
 _HINTS = {  # to the parser's words
-    "'\\t'": "indent with spaces, not with tabs",
-    "block end": "check the indentation here and above: keys of one level begin in one column",
+    "cannot start any token": "indent with spaces, not with tabs, and quote a text that begins "
+    "with @, ` or %",
+    "expected key": "check the indentation here and above: keys of one level begin in one column",
     "mapping values are not allowed": "check the indentation, or quote a text that holds ': '",
     "',' or '}'": "a ',' or the closing '}' is missing",
     "',' or ']'": "a ',' or the closing ']' is missing",
+    "expected ':'": "a key is followed by ': ' and its value",
 }
 
 
@@ -217,11 +244,21 @@ class _Composer:
         if event.tag is not None:
             self._problem(place, f"tags are not allowed; remove '{event.tag}'")
         if isinstance(event, ScalarEvent):
-            return Scalar(place, event.value, quoted=event.style is not None)
+            return self._scalar(place, event)
         if isinstance(event, SequenceStartEvent):
             return Sequence(place, tuple(self._items(events, depth)))
         assert isinstance(event, MappingStartEvent)
         return self._mapping(place, events, depth)
+
+    def _scalar(self, place: Place, event: Any) -> Scalar:
+        unseen = UNSEEN.search(event.value)
+        if unseen is not None:
+            code, name = ord(unseen[0]), unicodedata.name(unseen[0], "")
+            name = name.lower() or ("half a character" if code >= 0xD800 else "a control character")
+            self._problem(place, f"the text holds U+{code:04X} ({name}), which nobody sees")
+            return Scalar(place, UNSEEN.sub("", event.value), quoted=True)
+        # libyaml gives plain scalars the empty style, the parser in Python None
+        return Scalar(place, event.value, quoted=bool(event.style))
 
     def _items(self, events: Iterator[Any], depth: int) -> Iterator[Node]:
         for event in events:
@@ -231,6 +268,7 @@ class _Composer:
 
     def _mapping(self, place: Place, events: Iterator[Any], depth: int) -> Mapping:
         mapping = Mapping(place, {})
+        first: dict[str, Place] = {}
         for event in events:
             if isinstance(event, MappingEndEvent):
                 break
@@ -238,12 +276,14 @@ class _Composer:
             value = self.node(next(events), events, depth + 1)
             if not isinstance(key, Scalar):
                 self._problem(key.place, "a key must be a word")
-            elif key.text in mapping.entries:
-                first = mapping.keys[key.text]
-                self._problem(
-                    key.place, f"duplicate key '{key.text}'; it stands in line {first.line} already"
-                )
+                continue
+            # files keep names normalised: é is one name, however its accent was typed
+            same = unicodedata.normalize("NFC", key.text)
+            if same in first:
+                what = f"duplicate key '{key.text}'; it stands in line {first[same].line} already"
+                self._problem(key.place, what)
             else:
+                first[same] = key.place
                 mapping.entries[key.text] = value
                 mapping.keys[key.text] = key.place
         return mapping

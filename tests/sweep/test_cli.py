@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -322,3 +323,56 @@ def test_durations(seconds, text):
 )
 def test_sizes(count, text):
     assert size(count) == text
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def command(*arguments, **options):
+    """The command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "demflow", *arguments],
+        cwd=ROOT,
+        capture_output=True,
+        check=False,
+        **options,
+    )
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_any_terminal_can_show_what_a_study_says(tmp_path, encoding):
+    path = tmp_path / "é.yaml"
+    path.write_text('"\u4e2d\u202e": 1\nscene: 5\n', encoding="utf-8")
+    done = command("check", str(path), env={**os.environ, "PYTHONIOENCODING": encoding})
+    assert done.returncode == 2
+    assert b"Traceback" not in done.stderr
+    assert "U+202E" in done.stdout.decode(encoding)
+
+
+@pytest.mark.parametrize(
+    ("name", "closed"),
+    [("quickstart", ">&-"), ("none", "<&- >&- 2>&-"), ("quickstart", ">/dev/full")],
+)
+def test_streams_that_are_closed_or_full_are_no_fault(name, closed):
+    line = f"{sys.executable} -m demflow check studies/{name}.yaml {closed}"
+    done = subprocess.run(["sh", "-c", line], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == (1 if "full" in closed else 0 if name == "quickstart" else 2)
+    assert "Traceback" not in done.stderr
+    assert "Exception ignored" not in done.stderr
+
+
+@pytest.mark.parametrize("address", ["foo", "", "tcp://", "http://a:1", "tcp://a:b", "a b:1"])
+def test_an_address_that_is_none_is_wrong_usage(capsys, address):
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["run", "studies/quickstart.yaml", "--scheduler", address])
+    assert caught.value.code == 2
+    assert "such as tcp://10.0.0.5:8786" in capsys.readouterr().err
+
+
+def test_of_many_problems_json_has_the_first_and_their_count(tmp_path, capsys):
+    path = tmp_path / "many.yaml"
+    path.write_text("".join(f"a{k}: 1\n" for k in range(300)))
+    assert cli.main(["check", str(path), "--json"]) == 2
+    told = json.loads(capsys.readouterr().out)
+    assert len(told["problems"]) == 100
+    assert told["count"] >= 300

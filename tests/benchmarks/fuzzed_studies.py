@@ -1,0 +1,96 @@
+"""Damaged studies, 50,000 of them: `demflow check` ends in clean words or success, quickly.
+
+Good studies are changed where it may hurt: keys, types, units, nesting, numbers, words, axes that
+reach into blocks that are not there. Each goes through the command itself. Whatever it ends in
+besides its two exit statuses is a fault; so are words that a terminal does not show, more than 1 s
+of processor time, and a process that comes to 200 MB. By itself the check takes a seed and a count:
+`python -m tests.benchmarks.fuzzed_studies --seed 7 --count 500`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import random
+import resource
+import sys
+import tempfile
+import time
+import traceback
+from pathlib import Path
+from typing import NamedTuple
+
+from demflow.sweep.command import cli
+from tests.benchmarks.result import Result
+from tests.sweep.damaged_studies import damaged, studies
+
+COUNT, SECONDS, MEGABYTES = 50_000, 1.0, 200.0
+LONGEST = 200_000  # characters that a check may say
+
+
+class Checked(NamedTuple):
+    """How one check ended."""
+
+    fault: str  # "" where there is none
+    valid: bool
+    seconds: float
+
+
+def checked(path: Path) -> Checked:
+    """Check a study by the command."""
+    said = io.StringIO()
+    begin, fault, status = time.process_time(), "", None
+    try:
+        with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+            status = cli.main(["check", str(path)])
+    except BaseException:
+        fault = traceback.format_exc(limit=-4)
+    seconds = time.process_time() - begin
+    told = said.getvalue()
+    if not fault and status not in (0, 2):
+        fault = f"exit status {status}"
+    elif not fault and not all(map(str.isprintable, told.split("\n"))):
+        fault = "words that a terminal does not show"
+    elif not fault and len(told) > LONGEST:
+        fault = f"{len(told)} characters of words"
+    return Checked(fault, status == 0, seconds)
+
+
+def run(count: int = COUNT, seed: int = 1) -> Result:
+    """Check so many damaged studies."""
+    good = studies()
+    faults: list[str] = []
+    slowest, valid = (0.0, 0), 0
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "study.yaml"
+        for number in range(count):
+            path.write_bytes(damaged(good, random.Random(f"{seed}/{number}")))
+            one = checked(path)
+            slowest = max(slowest, (one.seconds, number))
+            valid += one.valid
+            if one.fault:
+                faults.append(f"number {number}: {one.fault}")
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    lines = [f"{count} studies, seed {seed}: {valid} valid", *faults[:20]]
+    lines.append(f"slowest: number {slowest[1]}, {slowest[0]:.2f} s; peak {peak:.0f} MB")
+    return Result(
+        f"{len(faults)} of {count} without a clean end; at most {slowest[0]:.2f} s, {peak:.0f} MB",
+        f"0; {SECONDS:g} s, {MEGABYTES:g} MB",
+        not faults and slowest[0] <= SECONDS and peak <= MEGABYTES,
+        "\n".join(lines),
+    )
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--count", type=int, default=COUNT)
+    parser.add_argument("--keep", type=int, help="write one study of that number, and end")
+    asked = parser.parse_args()
+    if asked.keep is not None:
+        sys.stdout.buffer.write(damaged(studies(), random.Random(f"{asked.seed}/{asked.keep}")))
+        sys.exit()
+    result = run(asked.count, asked.seed)
+    print(result.details, result.line, sep="\n")
+    sys.exit(not result.holds)
