@@ -353,7 +353,7 @@ def _check_scenes(
     most = MOST_COMBINATIONS // (1 + named // MANY_NAMES)
     for index in _indices([len(axis.values) for axis in axes], combine, most):
         moved = [number for number, k in enumerate(index) if k]
-        for problem in builder.problems(index, whole=whole):
+        for problem in builder.problems(index, whole=whole, unreadable=reading.unreadable):
             path, what = problem
             if reading.spoilt(path) or problem in at_origin or _in_part(path, reading):
                 continue

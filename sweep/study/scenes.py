@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from demflow.model.parameters import SceneError
@@ -42,10 +42,24 @@ class SceneBuilder:
             raise SceneError(problems)
         return Scene(**parts)
 
-    def problems(self, index: Sequence[int], *, whole: bool) -> list[tuple[str, str]]:
-        """What is wrong at an index, as (path, what); `whole` checks across blocks too."""
+    def problems(
+        self, index: Sequence[int], *, whole: bool, unreadable: Collection[str] = ()
+    ) -> list[tuple[str, str]]:
+        """What is wrong at an index, as (path, what); `whole` checks across blocks too.
+
+        Fractures that are wrong by themselves, or that have a path among the unreadable ones, are
+        not looked at across blocks: nobody could draw them.
+        """
         problems: list[tuple[str, str]] = []
         parts = self._build(index, problems)
+        wrong = {
+            path.split(".")[1]
+            for path in (*unreadable, *(path for path, _ in problems))
+            if path.startswith("fractures.")
+        }
+        if wrong:
+            drawn = parts.get("fractures", ())
+            parts["fractures"] = tuple(one for one in drawn if one.name not in wrong)
         if whole and not any(path.startswith("region") for path, _ in problems):
             try:
                 Scene(**parts)
