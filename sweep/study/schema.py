@@ -30,7 +30,7 @@ Schema = dict[str, Any]
 
 def study_schema() -> Schema:
     """The schema as a dict that `json.dumps` takes."""
-    scene = SCENE.without("observe", "solver")
+    scene = _schema(SCENE.without("observe", "solver")) | {"description": "what is modelled"}
     value = {"description": "a value of the parameter: a quantity, a word or a list"}
     path = {"type": "string", "description": "path inside scene, as in wells.producer.rate"}
     return {
@@ -46,7 +46,7 @@ def study_schema() -> Schema:
                 "description": "name; results/<name> is where it writes",
             },
             "title": {"type": "string", "description": "one line for figures and report"},
-            "scene": _schema(scene) | {"description": "what is modelled"},
+            "scene": _relaxed(scene),
             "vary": {
                 "type": "object",
                 "description": f"axes; they multiply, up to {MAX_CASES} cases",
@@ -64,7 +64,23 @@ def study_schema() -> Schema:
                 "description": "overrides that make the study small: path -> value",
             },
         },
+        # an axis may give what the scene leaves out
+        "if": {"not": {"required": ["vary"]}},
+        "then": {"properties": {"scene": scene}},
     }
+
+
+def _relaxed(schema: Any) -> Any:
+    """A schema that lets keys be left out, but those that say of which kind a block is."""
+    if isinstance(schema, list):
+        return [_relaxed(one) for one in schema]
+    if not isinstance(schema, dict):
+        return schema
+    relaxed = {("anyOf" if key == "oneOf" else key): _relaxed(one) for key, one in schema.items()}
+    if "required" in schema:
+        tags = (key for key in schema["required"] if "const" in schema["properties"][key])
+        relaxed["required"] = list(tags)
+    return relaxed
 
 
 def _axis_forms(path: Schema, value: Schema) -> list[Schema]:
