@@ -14,6 +14,7 @@ class Status(IntEnum):
     OUT_OF_MEMORY = 3
     WORKER_DIED = 4
     NOT_RUN = 5
+    STOPPED = 6  # early; what came before is kept
 
 
 class ModelError(RuntimeError):

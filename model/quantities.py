@@ -6,8 +6,12 @@ Dimensions are named as in the dataset; the axes of a study come before them.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
+
+from demflow.model.outcome import ModelError
 from demflow.model.scene import MEASURED_BY_A_TEST
 from demflow.model.transient import SMOOTHING
 
@@ -31,6 +35,7 @@ SUPERPOSED = (
     "rate or pressure and shifted to its time; cases that differ in these alone share it"
 )
 
+STOPPED = "stopped"  # of a case that has it and no empty word there; the dataset's `message`
 
 # Variables of the dataset, one value or array per case.
 CASE: dict[str, Quantity] = {
@@ -193,6 +198,7 @@ CASE: dict[str, Quantity] = {
     "shear_cracks": Quantity("1", (), "bonds and joint contacts that broke in shear"),
     "joint_contacts": Quantity("1", (), "contacts across smooth joints"),
     "idle_joints": Quantity("1", (), "joint traces that no contact crosses"),
+    STOPPED: Quantity("", (), "why the case stopped early; what came before is kept", text=True),
 }
 
 # Variables that the sweep adds to each case.
@@ -270,3 +276,24 @@ TESTS: dict[str, Quantity] = {
     "crack_strain": Quantity("1", ("crack",), "axial strain of the test by the breakage"),
     "box": Quantity("m", ("wall",), "left, right, bottom and top wall before the test"),
 }
+
+
+def checked(found: Mapping[str, np.ndarray]) -> str:
+    """Return why a case stopped early, "" where it did not.
+
+    `found` is what was observed of it, by the names of `CASE`. Raises ModelError where a result
+    is no number that must be one; after a stop there is none at any time.
+    """
+    stopped = str(found.get(STOPPED, ""))
+    for name, array in found.items():
+        if array.dtype.kind != "f":
+            continue
+        wrong = ~np.isfinite(array)
+        if CASE[name].gaps or (stopped and "elapsed_time" in CASE[name].dimensions):
+            wrong &= ~np.isnan(array)
+        if count := np.count_nonzero(wrong):
+            raise ModelError(
+                f"{name} is not a finite number at {count} of {array.size} places; "
+                "try another solver.method, or less extreme apertures and times"
+            )
+    return stopped

@@ -10,6 +10,7 @@ without the kernels and solvers that only its workers need.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -29,6 +30,7 @@ from demflow.model.products import (
     StressState,
     UnitLoads,
 )
+from demflow.model.quantities import checked
 from demflow.model.scene import Bonds, Scene, joint_lines
 
 if TYPE_CHECKING:
@@ -56,6 +58,14 @@ __all__ = [
 ]
 
 
+def grain_count(scene: Scene) -> float:
+    """Number of grains in the region; about that number where a radius is given instead."""
+    if scene.grains.count is not None:
+        return float(scene.grains.count)
+    disc = math.pi * (scene.grains.mean_radius or 1.0) ** 2
+    return max(1.0, scene.region.area / disc)
+
+
 @dataclass(frozen=True)
 class Stage:
     """One row of the table of stages."""
@@ -70,6 +80,10 @@ class Stage:
     # of a stage that marches, one of its own parents: what each of its runs is to do, and takes
     # as `leg`, beside the product of the run before (None at first)
     legs: Callable[[Scene], tuple[Any, ...]] | None = None
+    size: Callable[[Scene], float] = grain_count  # with which its cost grows
+    # why what it returned stops early, "" where it does not; ModelError where it is no result
+    check: Callable[[Any], str] | None = None
+    observed: bool = False  # whether its product is what a study asks of a case
 
     @property
     def run(self) -> Callable[..., Any]:
@@ -292,6 +306,8 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=_always,
         product=dict,
+        check=checked,
+        observed=True,
     ),
 )
 

@@ -44,7 +44,7 @@ REPORT_FILE, FIGURES = "report.html", "figures"
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
 MARKS = {f"{DATASET_FILE}.sha256", UNFINISHED_FILE}  # nobody else has files of these names
 OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES, KEPT} | MARKS
-COLLECTOR = 2  # raise it whenever the dataset made of the same products changes
+COLLECTOR = 3  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
 

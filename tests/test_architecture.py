@@ -56,8 +56,9 @@ HALLS = ("model", "model.mechanics", "model.flow", "sweep")  # hold rooms and no
 # All that a study needs of the model: what a scene is, what is measured, how a case ended.
 CONTRACT = ("model.parameters", "model.region", "model.scene", "model.outcome", "model.quantities")
 MACHINERY = {  # rooms of the sweep that may see more of the model, and what
-    "sweep.plan": ("model.stages", "model.maps"),
+    "sweep.plan": ("model.stages",),
     "sweep.execution": ("model.stages", "model.memory", "model.compilation"),
+    "sweep.dataset": ("model.maps",),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),
 }

@@ -131,7 +131,8 @@ def status(options: argparse.Namespace) -> int:
     verdicts = prepared.verdicts()
     count = {s: sum(v.status is s for v in verdicts) for s in Status}
     missing, done = count[Status.NOT_RUN], count[Status.DONE]
-    failed = len(verdicts) - missing - done
+    stopped = count[Status.STOPPED]
+    failed = len(verdicts) - missing - done - stopped
     again = prepared.tried_again(verdicts)
     bad = [
         (case, v)
@@ -148,15 +149,17 @@ def status(options: argparse.Namespace) -> int:
             }
             for case, v in bad
         ]
-        told = {"study": prepared.study.name, "cases": len(verdicts), "done": done}
-        _print_json({**told, "failed": failed, "missing": missing, "failures": cases})
+        counts = {"done": done, "stopped": stopped, "failed": failed, "missing": missing}
+        named = {"study": prepared.study.name, "cases": len(verdicts)}
+        _print_json({**named, **counts, "failures": cases})
     else:
-        show(f"{len(verdicts)} cases: {done} done, {failed} failed, {missing} missing")
+        early = f"{stopped} stopped early, " if stopped else ""
+        show(f"{len(verdicts)} cases: {done} done, {early}{failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
             show(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:
             show(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
-        others = len(bad) - int(again.sum()) - len(prepared.plan.impossible)
+        others = failed - int(again.sum()) - len(prepared.plan.impossible)
         for message in _what_next(int(again.sum()), others):
             say(message)
     good = as_expected(prepared, verdicts) | [v.status is Status.NOT_RUN for v in verdicts]

@@ -62,7 +62,7 @@ def collect(
         for tile in tiles(study.shape, max(1, min(TILE_CASES, TILE_BYTES // each))):
             writer.begin(tile)
             for case in tile.cases:
-                if verdicts[case].status is Status.DONE:
+                if verdicts[case].status in (Status.DONE, Status.STOPPED):
                     writer.add(case, source.result(case))
                 writer.end_case(case, verdicts[case], source.spent(case))
             writer.flush()
@@ -78,5 +78,5 @@ def _bytes_of_a_case(plan: Plan, store: Store, verdicts: Sequence[Verdict]) -> i
     for case, ended in enumerate(verdicts):
         if ended.status is Status.DONE:
             with suppress(FileNotFoundError):  # it is missed when it is read
-                return store.path(plan.runs[int(plan.cases[case, -1])].id).stat().st_size
+                return store.path(plan.runs[int(plan.cases[case, plan.observed])].id).stat().st_size
     return 1000

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from demflow.model.maps import case_maps
 from demflow.model.quantities import COORDINATES, MAPS, TESTS
 from demflow.model.scene import Scene
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.execution.worker import build
-from demflow.sweep.plan.graph import MODEL, case_maps, make_plan, stage_table
+from demflow.sweep.plan.graph import MODEL, make_plan, stage_table
 from demflow.sweep.store.products import DamagedError, MissingError, Store, StoreError
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import case_at, coordinates

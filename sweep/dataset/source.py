@@ -30,8 +30,8 @@ class Source:
         self.met = np.zeros(len(self.plan.runs), dtype=bool)  # runs whose times were looked up
 
     def result(self, case: int) -> Mapping[str, np.ndarray]:
-        """What the last stage of a case found; nothing where that is damaged."""
-        run = int(self.plan.cases[case, -1])
+        """What was observed of a case; nothing where that is damaged."""
+        run = int(self.plan.cases[case, self.plan.observed])
         try:
             stored = self.store.get(self.plan.runs[run].id)
         except (DamagedError, MissingError) as error:

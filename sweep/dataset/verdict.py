@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
 from demflow.model.outcome import Status
+from demflow.model.quantities import STOPPED
 from demflow.sweep.plan.graph import Plan
-from demflow.sweep.store.products import Store
+from demflow.sweep.store.products import DamagedError, MissingError, Store
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,8 @@ class Verdict:
 def verdict(plan: Plan, store: Store, stored: np.ndarray, case: int) -> Verdict:
     """How a case stands: done where all its products are there, else the first that is not.
 
-    `stored` tells which runs of the plan have their product, (runs,) bool.
+    One that marches may have stopped early, as what was observed of it tells. `stored` tells
+    which runs of the plan have their product, (runs,) bool.
     """
     if case in plan.impossible:
         return Verdict(Status.FAILED, plan.impossible[case])
@@ -34,4 +37,9 @@ def verdict(plan: Plan, store: Store, stored: np.ndarray, case: int) -> Verdict:
             stage = plan.stage_of(run).name
             return Verdict(Status(failure["status"]), f"{stage}: {failure['message']}")
         return Verdict(Status.NOT_RUN, "not run yet; `demflow run` computes it")
+    if any(plan.cases[case, row] >= 0 for row in plan.marches):
+        with suppress(MissingError, DamagedError):  # it is missed when it is read
+            observed = plan.runs[int(plan.cases[case, plan.observed])].id
+            if stopped := store.meta(observed).get(STOPPED):
+                return Verdict(Status.STOPPED, stopped)
     return Verdict(Status.DONE)

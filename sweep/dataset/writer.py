@@ -11,7 +11,7 @@ import netCDF4
 import numpy as np
 
 from demflow.model.outcome import Status
-from demflow.model.quantities import CASE, COORDINATES, SWEEP, Quantity
+from demflow.model.quantities import CASE, COORDINATES, STOPPED, SWEEP, Quantity
 from demflow.sweep.dataset.labels import CONVENTIONS, FIXED, Labels, Layout, quantity_attributes
 from demflow.sweep.dataset.tiles import Tile
 from demflow.sweep.dataset.verdict import Verdict
@@ -61,6 +61,8 @@ class Writer:
     def add(self, case: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the numbers of one case."""
         for name, array in arrays.items():
+            if name == STOPPED:
+                continue  # it is the case's message
             if CASE[name].text:
                 self._block(name, CASE[name])[case - self.tile.cases.start] = str(array)
                 continue

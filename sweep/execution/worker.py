@@ -33,7 +33,7 @@ from demflow.model.compilation import compilation
 from demflow.model.memory import limited
 from demflow.model.outcome import ModelError, OutOfMemory, Status
 from demflow.model.parameters import SceneError
-from demflow.model.quantities import CASE
+from demflow.model.quantities import STOPPED
 from demflow.sweep.execution.memory import available, peak_memory, resident_memory
 from demflow.sweep.plan.graph import stage_table
 from demflow.sweep.store.products import (
@@ -249,8 +249,8 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | No
     try:
         product = stage.run(*parents, **task.reads)
         arrays = {name: canonical(array) for name, array in named(product).items()}
-        if stage.product is dict:  # what a case observes; NaN in other products ends up there
-            _check_numbers(arrays)
+        if stage.check is not None and (stopped := stage.check(arrays)):
+            meta[STOPPED] = stopped
     except MemoryError:
         status, message = Status.OUT_OF_MEMORY, "no memory left; try fewer grains or fewer workers"
     except OutOfMemory as error:
@@ -304,21 +304,6 @@ def _working_time() -> tuple[float, float]:
         time.perf_counter() - compilation.seconds,
         time.process_time() - compilation.cpu_seconds,
     )
-
-
-def _check_numbers(found: Mapping[str, np.ndarray]) -> None:
-    """Raise ModelError where a result is no number that must be one."""
-    for name, array in found.items():
-        if array.dtype.kind != "f":
-            continue
-        wrong = ~np.isfinite(array)
-        if CASE[name].gaps:
-            wrong &= ~np.isnan(array)
-        if count := np.count_nonzero(wrong):
-            raise ModelError(
-                f"{name} is not a finite number at {count} of {array.size} places; "
-                "try another solver.method, or less extreme apertures and times"
-            )
 
 
 def named(product: Any) -> Mapping[str, np.ndarray]:

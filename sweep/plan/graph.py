@@ -14,8 +14,9 @@ from __future__ import annotations
 import hashlib
 import importlib
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
     """Return the table of stages at `module:name`, in an order in which parents come first.
 
     Raises ValueError where a stage names a parent that does not stand before it, unless it is its
-    own, as that of a march is.
+    own, as that of a march is; and where not exactly one stage is observed.
     """
     module, _, name = reference.partition(":")
     stages: tuple[Stage, ...] = tuple(getattr(importlib.import_module(module), name))
@@ -47,14 +48,9 @@ def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
         if stage.legs is not None and stage.name not in stage.parents:
             raise ValueError(f"{reference}: {stage.name} has legs and is no parent of its own")
         earlier.add(stage.name)
+    if sum(stage.observed for stage in stages) != 1:
+        raise ValueError(f"{reference}: one stage's product is what is observed, and no other's")
     return stages
-
-
-def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
-    """Return the maps of one case, from the products of its stages by their names."""
-    from demflow.model.maps import case_maps as of_the_model
-
-    return of_the_model(scene, products)
 
 
 class CostClass(NamedTuple):
@@ -63,27 +59,20 @@ class CostClass(NamedTuple):
     stage: str
     version: int
     variant: str  # how it is solved, "" where there is one way only
-    step: int  # its size, ln(grains) / SIZE_STEP
+    step: int  # ln(its size) / SIZE_STEP
 
     @classmethod
     def of(cls, stage: Stage, scene: Scene) -> CostClass:
         """The kind of a stage's run for a scene."""
         method = stage.reads.get("method")
         variant = "" if method is None else str(method(scene))
-        return cls(stage.name, stage.version, variant, round(math.log(grains(scene)) / SIZE_STEP))
+        size = round(math.log(stage.size(scene)) / SIZE_STEP)
+        return cls(stage.name, stage.version, variant, size)
 
     @property
     def key(self) -> str:
         """All but the size, as one word."""
         return f"{self.stage}/{self.version}/{self.variant}"
-
-
-def grains(scene: Scene) -> float:
-    """Number of grains in the region; about that number where a radius is given instead."""
-    if scene.grains.count is not None:
-        return float(scene.grains.count)
-    disc = math.pi * (scene.grains.mean_radius or 1.0) ** 2
-    return max(1.0, scene.region.area / disc)
 
 
 class StageRun(NamedTuple):
@@ -106,6 +95,16 @@ class Plan:
     # (cases, stages) int32: index of the run, of a march the last one, −1 where it is not run
     cases: np.ndarray
     impossible: dict[int, str] = field(default_factory=dict)  # cases without a scene, and why
+
+    @cached_property
+    def observed(self) -> int:
+        """The row of the table whose product is what is asked of a case."""
+        return next(k for k, stage in enumerate(self.stages) if stage.observed)
+
+    @cached_property
+    def marches(self) -> list[int]:
+        """The rows of the table that run leg by leg."""
+        return [k for k, stage in enumerate(self.stages) if stage.legs is not None]
 
     def case_runs(self, case: int) -> list[int]:
         """Indices of the runs that a case is made of, parents first."""

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from demflow.model.quantities import checked
 from demflow.model.scene import Scene
 from demflow.model.stages import Stage
 
@@ -26,4 +27,9 @@ def _always(_: Scene) -> bool:
     return True
 
 
-STAGES = (Stage("observe", f"{__name__}:observe", 1, (), {"rate": _rate}, _always, dict),)
+STAGES = (
+    Stage(
+        "observe", f"{__name__}:observe", 1, (), {"rate": _rate}, _always, dict,
+        check=checked, observed=True,
+    ),
+)  # fmt: skip

@@ -13,6 +13,7 @@ import numpy as np
 from demflow.model.controls import controls_of, sites
 from demflow.model.flow.equation.sites import WellSite, change_times
 from demflow.model.products import Apertures, Network
+from demflow.model.quantities import STOPPED, checked
 from demflow.model.scene import Scene
 from demflow.model.stages import STAGES as MODEL
 from demflow.model.stages import Stage
@@ -21,7 +22,7 @@ from tests.sweep.toy_stages import pack as toy_pack
 
 TOY, RATES = f"{__name__}:TOY_STAGES", f"{__name__}:RATE_STAGES"
 DECAY = 0.1  # 1/s
-DIES_ONCE, RAISES = 99.0, 98.0  # rates
+DIES_ONCE, RAISES, STOPS = 99.0, 98.0, 97.0  # rates
 
 
 class Leg(NamedTuple):
@@ -63,10 +64,13 @@ class Drawn(NamedTuple):
     time: Any
     pressure: Any  # (n,)
     recorded: Any  # (t,) mean at the times so far
+    stopped: Any  # why nothing came after them, or an empty word
 
 
 def toy_march(packed: Packed, before: Drawn | None, *, leg: Leg, seconds: float) -> Drawn:
-    begin = before or Drawn(np.zeros(()), packed.x, np.empty(0))
+    begin = before or Drawn(np.zeros(()), packed.x, np.empty(0), np.array(""))
+    if str(begin.stopped):
+        return begin
     assert float(begin.time) == leg.start
     _note("begins", leg)
     time.sleep(seconds)
@@ -84,9 +88,16 @@ def toy_march(packed: Packed, before: Drawn | None, *, leg: Leg, seconds: float)
         left = np.exp(-DECAY * (np.asarray(t) - leg.start))
         return left * begin.pressure[..., None] - rate * (1.0 - left) / DECAY
 
-    recorded = at(np.array(leg.times)).mean(axis=0)
+    end, times, stopped = leg.end, leg.times, ""
+    if rate == STOPS:
+        end = 0.5 * (leg.start + leg.end)
+        times, stopped = tuple(t for t in times if t <= end), f"it came apart at {end:g} s"
+    recorded = at(np.array(times)).mean(axis=0)
     return Drawn(
-        np.asarray(leg.end), at([leg.end])[:, 0], np.concatenate([begin.recorded, recorded])
+        np.asarray(end),
+        at([end])[:, 0],
+        np.concatenate([begin.recorded, recorded]),
+        np.array(stopped),
     )
 
 
@@ -96,8 +107,10 @@ def _note(what: str, leg: Leg) -> None:
             file.write(f"{what} {leg.start:g} {leg.rates[0]:g}\n".encode())
 
 
-def toy_observe(packed: Packed, drawn: Drawn) -> dict[str, np.ndarray]:
-    return {"well_pressure": drawn.recorded[None, :], "porosity": packed.x.std()}
+def toy_observe(packed: Packed, drawn: Drawn, *, times: tuple[float, ...]) -> dict[str, np.ndarray]:
+    pressure = np.full((1, len(times)), np.nan)
+    pressure[0, : len(drawn.recorded)] = drawn.recorded
+    return {"well_pressure": pressure, "porosity": packed.x.std(), STOPPED: drawn.stopped}
 
 
 def toy_result(packed: Packed, steps: list[tuple[float, float]], times: np.ndarray) -> np.ndarray:
@@ -129,7 +142,17 @@ TOY_STAGES = (
         Drawn,
         legs,
     ),
-    Stage("observe", f"{__name__}:toy_observe", 1, ("pack", "march"), {}, _always, dict),
+    Stage(
+        "observe",
+        f"{__name__}:toy_observe",
+        1,
+        ("pack", "march"),
+        {"times": lambda s: s.times},
+        _always,
+        dict,
+        check=checked,
+        observed=True,
+    ),
 )
 
 # The flow of a whole network, from one change of a rate to the next, exactly.
@@ -208,5 +231,7 @@ RATE_STAGES = (
         {"start": lambda s: s.initial_pressure},
         _always,
         dict,
+        check=checked,
+        observed=True,
     ),
 )

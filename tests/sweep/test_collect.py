@@ -126,7 +126,7 @@ def test_units_and_names_are_those_of_the_table(finished):
     assert dataset.stress_yy.attrs["units"] == "Pa"
     assert dataset.elapsed_time.attrs["units"] == "s"
     status = dataset.status.attrs
-    assert list(status["flag_values"]) == [0, 1, 2, 3, 4, 5]
+    assert list(status["flag_values"]) == [int(s) for s in Status]
     assert status["flag_meanings"].split()[:2] == ["done", "failed"]
     assert list(dataset.component.values) == ["xx", "yy", "xy"]
 

@@ -12,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
+from demflow.model.stages import grain_count
 from demflow.sweep.command.forecast import forecast
 from demflow.sweep.execution.memory import peak_memory
-from demflow.sweep.plan.graph import SIZE_STEP, CostClass, grains, make_plan, stage_table
+from demflow.sweep.plan.graph import SIZE_STEP, CostClass, make_plan, stage_table
 from demflow.sweep.store.costs import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
 from demflow.sweep.store.products import Store
 from tests.sweep import toys
@@ -201,7 +202,7 @@ def test_a_run_is_of_a_kind_by_its_size_and_its_solver():
 def test_a_radius_counts_as_about_the_grains_that_it_gives():
     radius = math.sqrt(0.83 * SCENE.region.area / (500 * math.pi))
     by_radius = dataclasses.replace(SCENE.grains, count=None, mean_radius=radius)
-    assert grains(dataclasses.replace(SCENE, grains=by_radius)) == pytest.approx(500, rel=0.3)
+    assert grain_count(dataclasses.replace(SCENE, grains=by_radius)) == pytest.approx(500, rel=0.3)
 
 
 def test_a_forecast_after_a_few_runs_is_right_within_a_factor_of_two(tmp_path):

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from demflow.model import stages as model_stages
-from demflow.model.outcome import Status
+from demflow.model.outcome import ModelError, Status
+from demflow.model.quantities import STOPPED, checked
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
 from demflow.model.stages import run_stages, simulate
 from demflow.sweep import engine
@@ -18,7 +19,7 @@ from demflow.sweep.command.forecast import forecast
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.plan.graph import make_plan, stage_table
 from demflow.sweep.prepared import prepare
-from tests.sweep import marches
+from tests.sweep import marches, toys
 from tests.sweep.toy_stages import DIARY
 from tests.sweep.toy_stages import pack as toy_pack
 
@@ -146,6 +147,43 @@ def test_a_leg_that_fails_is_told_with_what_was_finished_before_it(tmp_path):
         [True] * 5,
     ]
     assert run(path).executed is None  # known to fail, tried again only where that is asked for
+
+
+def test_a_case_that_stops_keeps_what_came_before(tmp_path, capsys):
+    """Its status says so and its message when; the legs that it does not reach change nothing."""
+    steps = {"a": (1.0, 2.0, 3.0), "b": (1.0, marches.STOPS, 3.0), "c": (1.0, 2.0, marches.STOPS)}
+    path = write(tmp_path, steps)
+    finished = run(path)
+    assert finished.failed == 2
+    seen = open_results(finished.folder).load()
+    assert seen.status.values.tolist() == [Status.DONE, Status.STOPPED, Status.STOPPED]
+    assert seen.status.attrs["flag_meanings"].split()[Status.STOPPED] == "stopped"
+    assert seen.message.values.tolist() == ["", "it came apart at 15 s", "it came apart at 25 s"]
+    assert "stopped" not in seen
+    reached = seen.elapsed_time.values[:, None] <= [np.inf, 15.0, 25.0]
+    pressure = seen.well_pressure.values[:, 0].T
+    np.testing.assert_array_equal(np.isfinite(pressure), reached)
+    np.testing.assert_array_equal(pressure[:2, 1], pressure[:2, 0])
+    assert run(path).executed is None  # what stopped is a result
+    assert toys.demflow(
+        "status", str(path), "--results", str(tmp_path / "results"), table=marches.TOY
+    )
+    assert capsys.readouterr().out.startswith(
+        "3 cases: 1 done, 2 stopped early, 0 failed, 0 missing"
+    )
+    path.write_text(path.read_text() + "expect: stopped\n")
+    assert run(path).failed == 1  # the one that went on to its end
+
+
+@pytest.mark.parametrize("value", [np.inf, np.nan])
+def test_what_stopped_has_gaps_in_time_and_nowhere_else(value):
+    good = {"well_pressure": np.array([[1.0, np.nan]]), "porosity": np.array(0.2)}
+    assert checked({**good, STOPPED: np.array("at 1 s")}) == "at 1 s"
+    with pytest.raises(ModelError, match="well_pressure is not a finite number at 1 of 2"):
+        checked({**good, STOPPED: np.array("")})
+    for name, wrong in (("porosity", value), ("well_pressure", np.inf)):
+        with pytest.raises(ModelError, match=f"{name} is not a finite number at 1 of 1"):
+            checked({**good, name: np.array(wrong)[None], STOPPED: np.array("at 1 s")})
 
 
 @pytest.mark.parametrize(

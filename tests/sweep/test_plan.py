@@ -118,3 +118,13 @@ def test_a_table_in_the_wrong_order_is_refused(monkeypatch):
     monkeypatch.setattr(toy_stages, "STAGES", STAGES[::-1])
     with pytest.raises(ValueError, match="observe stands before its parent pack"):
         stage_table(TABLE)
+
+
+@pytest.mark.parametrize("observed", [(), ("flow", "observe")])
+def test_one_stage_is_observed(monkeypatch, observed):
+    from tests.sweep import toy_stages
+
+    table = tuple(replace(stage, observed=stage.name in observed) for stage in STAGES)
+    monkeypatch.setattr(toy_stages, "STAGES", table)
+    with pytest.raises(ValueError, match="one stage's product is what is observed"):
+        stage_table(TABLE)

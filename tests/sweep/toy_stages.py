@@ -22,6 +22,7 @@ import numpy as np
 from demflow.model.compilation import compilation
 from demflow.model.memory import foresee
 from demflow.model.outcome import ModelError
+from demflow.model.quantities import checked
 from demflow.model.scene import Scene
 from demflow.model.stages import Stage
 
@@ -179,5 +180,15 @@ STAGES = (
         _always,
         Flowed,
     ),
-    Stage("observe", f"{__name__}:observe", 1, ("pack", "stress", "flow"), {}, _always, dict),
+    Stage(
+        "observe",
+        f"{__name__}:observe",
+        1,
+        ("pack", "stress", "flow"),
+        {},
+        _always,
+        dict,
+        check=checked,
+        observed=True,
+    ),
 )

@@ -68,11 +68,11 @@ def prepared(path: Path, results: Path) -> preparing.Project:
     return _prepare(path, results, table=TABLE)
 
 
-def demflow(*arguments: str) -> int:
+def demflow(*arguments: str, table: str = TABLE) -> int:
     """The command line, on the toy stages and without figures."""
-    engine.run_study = functools.partial(_run_study, table=TABLE, figures=False)
-    preparing.prepare = functools.partial(_prepare, table=TABLE)
-    upkeep.unwanted = functools.partial(_unwanted, table=TABLE)
+    engine.run_study = functools.partial(_run_study, table=table, figures=False)
+    preparing.prepare = functools.partial(_prepare, table=table)
+    upkeep.unwanted = functools.partial(_unwanted, table=table)
     try:
         return cli.main(arguments)
     finally:
