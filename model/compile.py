@@ -8,10 +8,12 @@ as plain Python, which the tests use on small cases.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import wraps
 from typing import Any
 
 from numba import njit
 from numba.core import event
+from numba.extending import overload
 
 from demflow.model.compilation import compilation
 from demflow.model.kernel_cache import LateCache
@@ -23,6 +25,34 @@ def kernel(function: Callable[..., Any]) -> Any:
     if compiled is not function:  # NUMBA_DISABLE_JIT leaves it as it is
         compiled._cache = LateCache(function)
     return compiled
+
+
+def by_type(statement: Callable[..., Any]) -> Any:
+    """Make a function for kernels whose first argument, a named tuple, decides what it does.
+
+    `@function.of(Kind)` gives what is done for a `Kind`, the statement itself what is done for
+    any other. All must have been given when a kernel that calls the function is first run. The
+    choice is made while compiling, at no cost later.
+    """
+    implementations: dict[type, Callable[..., Any]] = {}
+
+    @wraps(statement)
+    def function(first: Any, *rest: Any) -> Any:
+        return implementations.get(type(first), statement)(first, *rest)
+
+    def of(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+        def give(implementation: Callable[..., Any]) -> Callable[..., Any]:
+            implementations[kind] = implementation
+            return implementation
+
+        return give
+
+    def choose(first: Any, *rest: Any) -> Callable[..., Any]:
+        return implementations.get(getattr(first, "instance_class", type(None)), statement)
+
+    overload(function, jit_options={"nogil": True, "error_model": "numpy"}, strict=False)(choose)
+    vars(function).update(of=of, statement=statement, implementations=implementations)
+    return function
 
 
 class _Report(event.Listener):

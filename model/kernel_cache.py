@@ -18,9 +18,10 @@ import stat
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
+from pickle import UnpicklingError
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -92,8 +93,12 @@ def _parts(function: FunctionType, seen: set[int]) -> Iterator[str]:
             yield from _value(name, value, seen)
     for name, value in zip(function.__code__.co_freevars, cells, strict=True):
         yield from _value(name, value, seen)
-    for implementation in getattr(function, "implementations", ()):
-        yield from _parts(implementation, seen)
+    chosen = getattr(function, "implementations", {})  # see `model.compile.by_type`
+    if "statement" in vars(function):
+        yield from _parts(vars(function)["statement"], seen)
+    for kind in sorted(chosen, key=lambda kind: kind.__qualname__):
+        yield f"for {kind.__qualname__}"
+        yield from _parts(chosen[kind], seen)
 
 
 def _code(code: CodeType, doc: str | None) -> Iterator[str]:
@@ -154,6 +159,10 @@ class _Implementation(caching.CompileResultCacheImpl):
     _locator_classes = [_Locator]
 
 
+# What was compiled for types that are gone or have moved, or was cut short, is no use any more.
+UNREADABLE = (AttributeError, ImportError, EOFError, UnpicklingError)
+
+
 class _Files(caching.IndexDataCacheFile):
     """Index and data of one kernel, read and written by one process at a time."""
 
@@ -165,12 +174,15 @@ class _Files(caching.IndexDataCacheFile):
         with self._turn():
             super().save(key, data)
 
-    def _load_index(self) -> Any:
-        """What was compiled for which types; nothing where some are not of this version."""
-        try:
-            return super()._load_index()
-        except (ImportError, AttributeError):  # of a module or a name that is gone, or yet to come
-            return {}
+    def _load_index(self) -> dict[Any, str]:
+        with suppress(*UNREADABLE):
+            return dict(super()._load_index())
+        return {}
+
+    def _load_data(self, name: str) -> Any:
+        with suppress(*UNREADABLE):
+            return super()._load_data(name)
+        return None  # compiled again
 
     @contextmanager
     def _turn(self) -> Iterator[None]:

@@ -163,6 +163,8 @@ def test_the_order_of_the_fields_that_are_passed_counts(tmp_path):
     assert answer(code, tmp_path, environment) == "21\n"
     (tmp_path / "pair.py").write_text(PAIR.replace("a: int; b: int", "b: int; a: int"))
     assert answer(code, tmp_path, environment) == "12\n"
+    (tmp_path / "pair.py").write_text(PAIR.replace("Pair", "Couple"))  # its type is gone
+    assert answer(code.replace("Pair", "Couple"), tmp_path, environment) == "21\n"
 
 
 @pytest.mark.parametrize("gone", ["the module", "the name"])

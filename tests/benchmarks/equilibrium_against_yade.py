@@ -11,8 +11,8 @@ import time
 
 import numpy as np
 
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import Array, at_rest, scaled_mass
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.loading.stress import DAMPING, path_between
 from demflow.model.mechanics.motion.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
 from demflow.model.mechanics.packing.compaction import hydrostatic
@@ -41,7 +41,7 @@ def loose_discs(count: int) -> tuple[Array, Array, Array, Array]:
 
 def equilibria(x: Array, y: Array, radius: Array, box: Array) -> list[tuple[float, int, float]]:
     """Seconds, steps and unbalanced ratio of each phase."""
-    law = ContactLaw(1.0, 1.0 / STIFFNESS_RATIO, FRICTION)
+    law = Linear(1.0, 1.0 / STIFFNESS_RATIO, FRICTION)
     start = time.perf_counter()
     specimen = Specimen(at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP)), box, law)
     found = []

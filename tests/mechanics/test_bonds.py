@@ -12,9 +12,10 @@ from demflow.model.mechanics.contact.bonds import (
     load_parallel_bond,
     strengths,
 )
-from demflow.model.mechanics.contact.contacts import ContactLaw, Sums, contact_forces
+from demflow.model.mechanics.contact.contacts import Sums, contact_forces
 from demflow.model.mechanics.contact.grains import at_rest
 from demflow.model.mechanics.contact.joints import no_joints
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.contact.neighbours import Pairs
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
@@ -47,11 +48,12 @@ def strained_star(kind: str, strain_x: float, strain_y: float, kn: float, ks: fl
         np.zeros(6, np.int32),
         np.arange(1, 7, dtype=np.int32),
         np.zeros(6),
+        np.zeros(6),
         np.arange(6, dtype=np.int32),
         x,
         y,
     )
-    law = ContactLaw(kn, ks, 0.0)
+    law = Linear(kn, ks, 0.0)
     cement = bonds(kind, 6, kn=kn, ks=ks)
     return contact_forces(
         grains, pairs, cement, no_joints(), law, FAR, 0, 0.0, strain_x, strain_y, None
@@ -123,10 +125,11 @@ def test_pulled_pair_comes_apart_for_good(kind: str) -> None:
     grains = at_rest(np.array([-1.0, 1.0]), np.zeros(2), np.ones(2), np.ones(2))
     pairs = Pairs(
         np.array([0, 1, 1]), np.array([0], np.int32), np.array([1], np.int32), np.zeros(1),
+        np.zeros(1),
         np.zeros(1, np.int32), grains.x.copy(), grains.y.copy(),
     )  # fmt: skip
     cement = bonds(kind, 1, tensile=0.01)
-    law = ContactLaw(1.0, 0.4, 0.5)
+    law = Linear(1.0, 0.4, 0.5)
     gaps, pull = np.linspace(0.0003, 0.0603, 61), []
     for step, gap in enumerate(gaps):
         grains.x[:] = [-1.0, 1.0 + gap]
@@ -175,11 +178,11 @@ def cantilever(n: int, radius: float, ks: float) -> tuple[float, float]:
     grains = at_rest(middle, np.zeros(n), np.full(n, radius), mass)
     start = np.r_[np.arange(n), n - 1]
     pairs = Pairs(
-        start, np.arange(n - 1, dtype=np.int32), np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
-        np.arange(n - 1, dtype=np.int32), middle, np.zeros(n),
+        start, np.arange(n - 1, dtype=np.int32), np.arange(1, n, dtype=np.int32),
+        np.zeros(n - 1), np.zeros(n - 1), np.arange(n - 1, dtype=np.int32), middle, np.zeros(n),
     )  # fmt: skip
     cement = bonds("parallel", n - 1, ks=ks, radius=radius)
-    law = ContactLaw(1.0, ks, 0.0)
+    law = Linear(1.0, ks, 0.0)
     specimen = Specimen(grains, FAR.copy(), law, bonds=cement, known=pairs)
     lift, steps = 1e-5 * radius, 100
     grains.vy[-1] = lift / (steps * specimen.dt)
@@ -218,12 +221,12 @@ def test_breakages_are_told_with_step_place_and_mode() -> None:
     grains = at_rest(x, np.zeros(n), np.ones(n), mass)
     pairs = Pairs(
         np.r_[np.arange(n), n - 1], np.arange(n - 1, dtype=np.int32),
-        np.arange(1, n, dtype=np.int32), np.zeros(n - 1),
+        np.arange(1, n, dtype=np.int32), np.zeros(n - 1), np.zeros(n - 1),
         np.arange(n - 1, dtype=np.int32), x, np.zeros(n),
     )  # fmt: skip
     cement = bonds("contact", n - 1, tensile=1e-3)
     cement.tensile_strength[weak] = 5e-4
-    specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), bonds=cement, known=pairs)
+    specimen = Specimen(grains, FAR.copy(), Linear(1.0, 0.4, 0.5), bonds=cement, known=pairs)
     speed = 1e-6
     grains.vx[-1] = speed
     specimen.relax(STANDING, NEVER, damping=0.7, steps=20_000)

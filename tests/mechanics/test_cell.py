@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.motion.equilibrium import AT_REST, FIRE, NEVER, Stop
 from demflow.model.mechanics.motion.servo import STANDING
 from demflow.model.mechanics.packing.cell import Cell
@@ -68,7 +68,7 @@ def moving(n: int = 110) -> Cell:
     x, y = rng.uniform(-0.5 * side, 0.5 * side, (2, n))
     grains = at_rest(x, y, rng.uniform(0.6, 1.0, n), np.full(n, 4.0))
     box = 0.5 * side * np.array([-1.0, 1.0, -1.0, 1.0])
-    return Cell(grains, box, ContactLaw(1.0, 0.4, 0.3))
+    return Cell(grains, box, Linear(1.0, 0.4, 0.3))
 
 
 def test_no_contact_is_missed_and_momentum_is_kept_while_grains_part() -> None:
@@ -169,7 +169,7 @@ def test_a_periodic_packing_covers_a_region(floaters: str) -> None:
 def test_a_cell_must_be_wide_enough() -> None:
     grains = at_rest(np.zeros(1), np.zeros(1), np.ones(1), np.ones(1))
     with pytest.raises(ModelError, match="raise grains.tile"):
-        Cell(grains, 2.0 * np.array([-1.0, 1.0, -1.0, 1.0]), ContactLaw(1.0, 0.4, 0.3))
+        Cell(grains, 2.0 * np.array([-1.0, 1.0, -1.0, 1.0]), Linear(1.0, 0.4, 0.3))
 
 
 def test_a_periodic_packing_conducts_as_a_large_one() -> None:

@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 
 from demflow.model.mechanics.contact.batches import BLOCK
 from demflow.model.mechanics.contact.bonds import no_bonds
-from demflow.model.mechanics.contact.contacts import ContactLaw, contact_forces
+from demflow.model.mechanics.contact.contacts import contact_forces
 from demflow.model.mechanics.contact.grains import Grains, at_rest
 from demflow.model.mechanics.contact.joints import no_joints
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.contact.laws import (
     local_damping,
     normal_force,
@@ -36,7 +37,7 @@ def discs(x, y, *, velocity, spin=0.0, radius=1.0, mass=1.0) -> Grains:
 
 def fly(grains: Grains, *, friction: float, dt: float, time: float, box=FAR) -> Specimen:
     """Undamped motion; friction acts, nothing else takes energy."""
-    law = ContactLaw(1.0, 0.4, friction)
+    law = Linear(1.0, 0.4, friction)
     specimen = Specimen(grains, box.copy(), law, dt=dt, skin=0.3)
     assert specimen.relax(STANDING, NEVER, damping=0.0, steps=round(time / dt)) == OUT_OF_STEPS
     return specimen
@@ -115,7 +116,7 @@ def test_action_equals_reaction_with_walls() -> None:
     grains = discs(x, y, velocity=rng.normal(size=(30, 2)), spin=rng.normal(size=30))
     box = np.array([-4.5, 4.4, -4.3, 4.6])
     pairs = find_pairs(grains, 0.2, no_pairs(30))
-    law = ContactLaw(1.0, 0.4, 0.5)
+    law = Linear(1.0, 0.4, 0.5)
     sums = contact_forces(grains, pairs, no_bonds(), no_joints(), law, box, 0, 0.01, 0.0, 0.0, None)
     assert sums.left_contacts > 0
     assert sums.top_contacts > 0
@@ -130,7 +131,7 @@ def test_action_equals_reaction_with_walls() -> None:
 def test_forces_are_the_laws_pair_by_pair() -> None:
     """Two steps against a plain loop over all pairs; a large disc has more of them than a block."""
     rng = np.random.Generator(np.random.PCG64(4))
-    n, dt, stretch, law = 300, 0.3, (1e-3, -2e-3), ContactLaw(1.0, 0.4, 0.5)
+    n, dt, stretch, law = 300, 0.3, (1e-3, -2e-3), Linear(1.0, 0.4, 0.5)
     angle = 2.0 * np.pi * np.arange(1, n) / (n - 1)
     radius = np.r_[40.0, rng.uniform(0.3, 0.6, n - 1)]
     way = 40.0 + radius[1:] * rng.uniform(0.8, 1.1, n - 1)
@@ -183,7 +184,7 @@ def test_disc_on_a_plane_slides_at_the_friction_limit() -> None:
     overlap, mu, ks = 0.01, 0.5, 0.4
     grains = at_rest(np.zeros(2), np.array([-1e7, 1.0 - overlap]), radius, np.full(2, np.inf))
     grains.vx[1] = 1e-4
-    specimen = Specimen(grains, 1e9 * np.array([-1, 1, -1, 1.0]), ContactLaw(1.0, ks, mu), dt=1.0)
+    specimen = Specimen(grains, 1e9 * np.array([-1, 1, -1, 1.0]), Linear(1.0, ks, mu), dt=1.0)
     limit = mu * overlap
     slide = int(limit / (ks * 1e-4))
     force = []
@@ -254,7 +255,7 @@ def test_shear_history_does_not_notice_when_the_list_is_made_anew() -> None:
             x, y, velocity=0.01 * rng.normal(size=(16, 2)), spin=0.01 * rng.normal(size=16)
         )
         box = np.array([-0.99, 6.93, -0.99, 6.93])
-        specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.5), dt=0.2, skin=skin)
+        specimen = Specimen(grains, box, Linear(1.0, 0.4, 0.5), dt=0.2, skin=skin)
         specimen.relax(STANDING, NEVER, damping=0.0, steps=40)
         return specimen, grains
 
@@ -275,7 +276,7 @@ def test_no_contact_is_missed_between_lists(seed: int, speed: float, skin: float
     x, y = rng.uniform(-7, 7, (2, 40))
     grains = discs(x, y, velocity=speed * rng.normal(size=(40, 2)))
     box = np.array([-8.0, 8.0, -8.0, 8.0])
-    specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.3), dt=0.2, skin=skin)
+    specimen = Specimen(grains, box, Linear(1.0, 0.4, 0.3), dt=0.2, skin=skin)
     servo = Servo(1.0, 0.5, 1.0, 0.5, limit=1e-2)  # the affine stretch moves grains too
     for _ in range(30):
         specimen.relax(servo, NEVER, damping=0.3, steps=3)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from demflow.model.mechanics.contact.bonds import INTACT
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import at_rest
 from demflow.model.mechanics.contact.joints import Trace
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.loading.stress import straight_path
 from demflow.model.mechanics.motion.equilibrium import FIRE, NEVER, OUT_OF_STEPS, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
@@ -60,7 +60,7 @@ def test_a_collision_closes_the_better_the_smaller_the_steps() -> None:
         grains.vx[:], grains.spin[:] = [0.02, -0.01], [0.01, 0.02]
         grains.x[:] = [-0.955, 0.955]
         box = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
-        specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.2), dt=dt)
+        specimen = Specimen(grains, box, Linear(1.0, 0.4, 0.2), dt=dt)
         specimen.open_ledger()
         specimen.relax(STANDING, NEVER, damping=0.0, steps=round(8.0 / dt))
         assert specimen.energies().slip > 0.0
@@ -77,9 +77,7 @@ def test_loads_and_led_grains_do_work() -> None:
     grains = at_rest(np.array([-2.1, 0.0]), np.array([0.0, 0.1]), np.ones(2), np.array([np.inf, 1]))
     grains.vx[0] = 1e-3
     grains.load_y[1] = -1e-4
-    specimen = Specimen(
-        grains, np.array([-9.0, 9.0, -1.0, 9.0]), ContactLaw(1.0, 0.4, 0.4), dt=0.02
-    )
+    specimen = Specimen(grains, np.array([-9.0, 9.0, -1.0, 9.0]), Linear(1.0, 0.4, 0.4), dt=0.02)
     specimen.open_ledger()
     specimen.relax(STANDING, NEVER, damping=0.2, steps=20000)
     found = specimen.energies()
@@ -98,7 +96,7 @@ def test_grains_that_slide_past_each_other_along_a_joint_lose_what_it_stored() -
         tensile_strength=0.0, cohesion=0.0, dilation=0.0,
     )  # fmt: skip
     box = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
-    specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.3), dt=1.0, traces=[trace])
+    specimen = Specimen(grains, box, Linear(1.0, 0.4, 0.3), dt=1.0, traces=[trace])
     specimen.open_ledger()
     specimen.relax(STANDING, NEVER, damping=0.0, steps=2100)
     found = specimen.energies()
@@ -109,7 +107,7 @@ def test_grains_that_slide_past_each_other_along_a_joint_lose_what_it_stored() -
 
 def test_fire_keeps_no_ledger() -> None:
     grains = at_rest(np.zeros(1), np.zeros(1), np.ones(1), np.ones(1))
-    specimen = Specimen(grains, np.array([-2.0, 2.0, -2.0, 2.0]), ContactLaw(1.0, 0.4, 0.4))
+    specimen = Specimen(grains, np.array([-2.0, 2.0, -2.0, 2.0]), Linear(1.0, 0.4, 0.4))
     specimen.open_ledger()
     with pytest.raises(ValueError, match="local damping"):
         specimen.relax(STANDING, NEVER, damping=FIRE, steps=1)

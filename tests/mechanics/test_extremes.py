@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import at_rest, scaled_mass
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.loading.strength import strength
 from demflow.model.mechanics.loading.stress import build_specimen, load, unit_loads
 from demflow.model.mechanics.motion.equilibrium import (
@@ -89,7 +89,7 @@ def test_grains_on_top_of_each_other_part(n: int, spread: float) -> None:
     radius = rng.uniform(0.6, 1.4, n)
     grains = at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP))
     box = 12.0 * np.array([-1.0, 1.0, -1.0, 1.0])
-    specimen = Specimen(grains, box, ContactLaw(1.0, 0.4, 0.0))
+    specimen = Specimen(grains, box, Linear(1.0, 0.4, 0.0))
     stop = Stop(ratio=0.1, stress=np.inf, force=1e-5)
     assert specimen.relax(STANDING, stop, damping=FIRE, steps=20_000) == AT_REST
     a, b = listed(specimen.pairs)
@@ -114,7 +114,7 @@ def few(n: int) -> Specimen:
     y = np.array([[0.0], [0.0, 0.0], [-0.8, -0.8, 0.9]][n - 1])
     radius = np.array([1.0, 0.9, 1.1])[:n]
     grains = at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP))
-    return Specimen(grains, 2.1 * np.array([-1.0, 1.0, -1.0, 1.0]), ContactLaw(1.0, 0.4, 0.5))
+    return Specimen(grains, 2.1 * np.array([-1.0, 1.0, -1.0, 1.0]), Linear(1.0, 0.4, 0.5))
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

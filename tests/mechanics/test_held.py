@@ -11,8 +11,8 @@ from demflow.model.mechanics.contact.bonds import (
     INTACT,
     install,
 )
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.contact.neighbours import Pairs
 from demflow.model.mechanics.loading.stress import load, unit_loads
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
@@ -46,7 +46,7 @@ def trials(bonds: Bonds, units: UnitLoads) -> tuple[StickingTrial, FrictionalTri
     _, x, y, radius, box, _ = scaled(packed())
     a, b = units.contact_a, units.contact_b
     cement = cemented(bonds, radius[a], radius[b], units.contact_distance, KN, 2.5, 0)
-    law = ContactLaw(1.0, 0.4, 0.5)
+    law = Linear(1.0, 0.4, 0.5)
     held = StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
     return held, FrictionalTrial(build_specimen(packed(), KN, 2.5, 0.5, bonds), units)
 
@@ -135,12 +135,12 @@ def bridge(**strengths) -> Specimen:
         distance=np.array([2.1]), **strengths,
     )  # fmt: skip
     known = Pairs(
-        np.array([0, 1, 1]), np.array([0], np.int32), np.array([1], np.int32), np.zeros(1),
-        np.zeros(1, np.int32), x, np.zeros(2),
+        np.array([0, 1, 1]), np.array([0], np.int32), np.array([1], np.int32),
+        np.zeros(1), np.zeros(1), np.zeros(1, np.int32), x, np.zeros(2),
     )  # fmt: skip
     grains = at_rest(x, np.zeros(2), radius, np.full(2, np.inf))
     box = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
-    return Specimen(grains, box, ContactLaw(1.0, 0.4, 0.5), bonds=bonds, known=known)
+    return Specimen(grains, box, Linear(1.0, 0.4, 0.5), bonds=bonds, known=known)
 
 
 @pytest.mark.parametrize("way", [-0.01, 0.01])

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from demflow.model.mechanics.contact.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TENSION, INTACT
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import Grains, at_rest, scaled_mass
 from demflow.model.mechanics.contact.joints import APART, LOOSE, Trace
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.loading.stress import load
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
@@ -81,7 +81,7 @@ def pair(branch: float, plane: float, **joint) -> Specimen:
     trace = Trace((-reach[0], -reach[1]), (reach[0], reach[1]), **properties)
     x, y = np.array([-0.99, 0.99]) * np.cos(branch), np.array([-0.99, 0.99]) * np.sin(branch)
     grains = at_rest(x, y, np.ones(2), np.full(2, np.inf))
-    return Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), dt=1.0, traces=[trace])
+    return Specimen(grains, FAR.copy(), Linear(1.0, 0.4, 0.5), dt=1.0, traces=[trace])
 
 
 def drive(specimen: Specimen, normal: float, along: float, plane: float, steps: int) -> None:
@@ -156,7 +156,7 @@ def test_grains_slide_past_and_meet_others_without_a_kick() -> None:
     y = np.r_[np.full(n, -0.9), np.full(n, 0.9)]
     grains = at_rest(x, y, np.ones(2 * n), np.full(2 * n, np.inf))
     trace = Trace((-99.0, 0.0), (99.0, 0.0), 1.0, 1.0, 0.5, 0.0, 0.0, 0.0)
-    specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), dt=1.0, traces=[trace])
+    specimen = Specimen(grains, FAR.copy(), Linear(1.0, 0.4, 0.5), dt=1.0, traces=[trace])
     most = specimen.joints.normal.max()
     known = len(specimen.joints.a)
     grains.vx[n:] = 0.01
@@ -211,6 +211,6 @@ def test_where_traces_cross_the_first_has_the_contact() -> None:
     grains = at_rest(np.array([-0.99, 0.99]), np.zeros(2), radius, scaled_mass(radius, 1.0, 0.5))
     one = Trace((0.0, -3.0), (0.0, 3.0), 1.0, 1.0, 0.1, 0.0, 0.0, 0.0)
     two = Trace((-1.0, -3.0), (1.0, 3.0), 1.0, 1.0, 0.9, 0.0, 0.0, 0.0)
-    specimen = Specimen(grains, FAR.copy(), ContactLaw(1.0, 0.4, 0.5), traces=[one, two])
+    specimen = Specimen(grains, FAR.copy(), Linear(1.0, 0.4, 0.5), traces=[one, two])
     assert specimen.joints.friction.tolist() == [0.1]
     assert specimen.idle_traces == 1

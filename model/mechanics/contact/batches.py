@@ -21,6 +21,15 @@ from demflow.model.mechanics.contact.bonds import (
 )
 from demflow.model.mechanics.contact.energy import BREAKAGE, ELASTIC, JERKS, SLIP
 from demflow.model.mechanics.contact.grains import Array, Grains
+from demflow.model.mechanics.contact.law import (
+    Law,
+    energy,
+    press,
+    rolling_limit,
+    rolling_stiffness,
+    rolls,
+    shear_stiffness,
+)
 from demflow.model.mechanics.contact.laws import (
     normal_force,
     shear_force,
@@ -70,21 +79,23 @@ def gather(
 
 
 @kernel
-def touch(w: Array, count: int, kn: float, ks: float, mu: float) -> None:
-    """Forces of linear contacts with friction."""
+def touch(w: Array, count: int, law: Law) -> None:
+    """Forces of contacts with friction."""
+    mu = law.friction
     for q in range(count):
         dx, dy = w[DX + q], w[DY + q]
         d = np.sqrt(dx * dx + dy * dy)
-        un = w[RADIUS_A + q] + w[RADIUS_B + q] - d
+        ra, rb = w[RADIUS_A + q], w[RADIUS_B + q]
+        un, r = ra + rb - d, ra * rb / (ra + rb)
         apart = d > 0.0  # where centres coincide any direction parts them
         inverse = 1.0 / d if apart else 0.0
         nx, ny = dx * inverse if apart else 1.0, dy * inverse
-        arm_a, arm_b = w[RADIUS_A + q] - 0.5 * un, w[RADIUS_B + q] - 0.5 * un
+        arm_a, arm_b = ra - 0.5 * un, rb - 0.5 * un
         us = tangential_step(
             w[UX + q], w[UY + q], nx, ny, inverse, w[TURN_A + q], w[TURN_B + q], arm_a, arm_b
         )
-        fn = max(normal_force(kn, un), 0.0)
-        fs = slip(shear_force(w[SHEAR + q], ks, us), mu * fn)
+        fn = press(law, un, r)
+        fs = slip(shear_force(w[SHEAR + q], shear_stiffness(law, un, r), us), mu * fn)
         w[D + q], w[NX + q], w[NY + q], w[US + q] = d, nx, ny, us
         w[ARM_A + q], w[ARM_B + q] = arm_a, arm_b
         w[FN + q], w[FS + q], w[SHEAR + q] = fn, fs, fs
@@ -99,8 +110,7 @@ def cement(
     bonds: BondState,
     begin: int,
     count: int,
-    kn: float,
-    ks: float,
+    law: Law,
     box: Array,
     step: int,
     ledger: Array | None,
@@ -118,11 +128,14 @@ def cement(
         if b < 0 and ledger is None:
             continue
         d, us = w[D + q], w[US + q]
+        ra, rb = w[RADIUS_A + q], w[RADIUS_B + q]
+        un, r = ra + rb - d, ra * rb / (ra + rb)
+        ks = shear_stiffness(law, un, r)
         state = INTACT
         if b >= 0:
             w[ACTS + q] = 1.0
             if bonds.kind == CONTACT_BONDS:
-                fn = normal_force(kn, bonds.length[b] - d)
+                fn = normal_force(law.kn, bonds.length[b] - d)
                 fs = shear_force(pairs.shear[k], ks, us)
                 state = bond_state(bonds, b, fn, fs, 0.0)
                 if state == INTACT:
@@ -134,14 +147,23 @@ def cement(
             dn = d - np.sqrt((w[DX + q] - w[UX + q]) ** 2 + (w[DY + q] - w[UY + q]) ** 2)
             fn, fs = w[FN + q], w[FS + q]
             lost = spent(pairs.shear[k], fs, ks, us)
+            glued = b >= 0 and bonds.kind == CONTACT_BONDS
             if state != INTACT:
+                kn = law.kn
                 ledger[BREAKAGE] += lost + spent(kn * (bonds.length[b] - d + dn), fn, kn, dn)
             else:
                 ledger[SLIP] += lost
-                if b < 0 or bonds.kind != CONTACT_BONDS:
-                    un = w[RADIUS_A + q] + w[RADIUS_B + q] - d
-                    ledger[JERKS] += spent(max(kn * (un + dn), 0.0), fn, kn, dn)
-            ledger[ELASTIC] += 0.5 * fn * fn / kn + 0.5 * fs * fs / max(ks, 1e-300)
+                if not glued:
+                    before = shear_stiffness(law, un + dn, r)
+                    ledger[JERKS] += (
+                        energy(law, un + dn, r)
+                        - energy(law, un, r)
+                        - 0.5 * (press(law, un + dn, r) + fn) * dn
+                        + _stored(pairs.shear[k], before)
+                        - _stored(pairs.shear[k], ks)
+                    )
+            held = 0.5 * fn * fn / law.kn if glued and state == INTACT else energy(law, un, r)
+            ledger[ELASTIC] += held + _stored(fs, ks)
         if b >= 0 and bonds.kind == PARALLEL_BONDS:
             shear, moment = bonds.shear[b], bonds.moment[b]
             turn = w[TURN_B + q] - w[TURN_A + q]
@@ -161,6 +183,35 @@ def cement(
             w[FN + q] += bn
             w[FS + q] += bs
             w[MOMENT + q] = bm
+
+
+@kernel
+def _stored(force: float, stiffness: float) -> float:
+    """Elastic energy of a spring; one without stiffness carries nothing, but for round-off."""
+    return 0.5 * force * force / max(stiffness, 1e-300)
+
+
+@kernel
+def resist_rolling(
+    w: Array, pairs: Pairs, begin: int, count: int, law: Law, special: bool, ledger: Array | None
+) -> None:
+    """Add the moments of contacts that resist rolling to those of bonds, where there are any."""
+    if not rolls(law):
+        return
+    for q in range(count):
+        k = begin + q
+        ra, rb = w[RADIUS_A + q], w[RADIUS_B + q]
+        un, r = ra + rb - w[D + q], ra * rb / (ra + rb)
+        fn = press(law, un, r) if pairs.bond[k] != JOINED else 0.0
+        kr = rolling_stiffness(law, un, r)
+        turn = w[TURN_B + q] - w[TURN_A + q]
+        before = pairs.moment[k]
+        moment = slip(before - kr * turn, rolling_limit(law, fn, r))
+        pairs.moment[k] = moment
+        w[MOMENT + q] = moment + (w[MOMENT + q] if special else 0.0)
+        if ledger is not None:
+            ledger[SLIP] += spent(before, moment, kr, turn)
+            ledger[ELASTIC] += _stored(moment, kr)
 
 
 @kernel

@@ -20,23 +20,15 @@ from demflow.model.mechanics.contact.batches import (
     gather,
     hand_back,
     project,
+    resist_rolling,
     touch,
 )
 from demflow.model.mechanics.contact.bonds import NO_BONDS, BondState
 from demflow.model.mechanics.contact.energy import ELASTIC
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.joints import JointState, joint_forces
-from demflow.model.mechanics.contact.laws import normal_force
+from demflow.model.mechanics.contact.law import Law, energy, press
 from demflow.model.mechanics.contact.neighbours import Pairs
-
-
-class ContactLaw(NamedTuple):
-    """Linear contact with Coulomb friction; stiffnesses in force per length."""
-
-    kn: float
-    ks: float
-    friction: float
-
 
 NO_WALLS = np.array([-np.inf, np.inf, -np.inf, np.inf])  # a box that nothing touches
 
@@ -68,7 +60,7 @@ def contact_forces(
     pairs: Pairs,
     bonds: BondState,
     joints: JointState,
-    law: ContactLaw,
+    law: Law,
     box: Array,
     step: int,
     dt: float,
@@ -87,7 +79,6 @@ def contact_forces(
     """
     x, y, radius = grains.x, grains.y, grains.radius
     fx, fy, torque = grains.fx, grains.fy, grains.torque
-    kn, ks, mu = law.kn, law.ks, law.friction
     xmin, xmax, ymin, ymax = box[0], box[1], box[2], box[3]
     for i in range(x.size):
         fx[i] = grains.load_x[i]
@@ -104,9 +95,10 @@ def contact_forces(
     for begin in range(0, pairs.other.size, BLOCK):
         count = min(BLOCK, pairs.other.size - begin)
         gather(w, grains, pairs, begin, count, dt, stretch_x, stretch_y)
-        touch(w, count, kn, ks, mu)
+        touch(w, count, law)
         if special:
-            cement(w, grains, pairs, bonds, begin, count, kn, ks, box, step, ledger)
+            cement(w, grains, pairs, bonds, begin, count, law, box, step, ledger)
+        resist_rolling(w, pairs, begin, count, law, special, ledger)
         contacts += project(w, count)
         force += hand_back(w, grains, pairs, own, begin, count)
     virial_xx = virial_yy = virial_xy = load_xx = load_yy = 0.0
@@ -117,25 +109,25 @@ def contact_forces(
         xi, yi, ri = x[i], y[i], radius[i]
         fxi, fyi, ti = fx[i] + own[0, i], fy[i] + own[1, i], torque[i] + own[2, i]
         if xi - ri < xmin:
-            fn = normal_force(kn, xmin - (xi - ri))
+            fn = press(law, xmin - (xi - ri), ri)
             fxi += fn
             left += fn
             n_left += 1
             virial_xy -= 0.5 * fn * yi
         if xi + ri > xmax:
-            fn = normal_force(kn, xi + ri - xmax)
+            fn = press(law, xi + ri - xmax, ri)
             fxi -= fn
             right += fn
             n_right += 1
             virial_xy += 0.5 * fn * yi
         if yi - ri < ymin:
-            fn = normal_force(kn, ymin - (yi - ri))
+            fn = press(law, ymin - (yi - ri), ri)
             fyi += fn
             bottom += fn
             n_bottom += 1
             virial_xy -= 0.5 * fn * xi
         if yi + ri > ymax:
-            fn = normal_force(kn, yi + ri - ymax)
+            fn = press(law, yi + ri - ymax, ri)
             fyi -= fn
             top += fn
             n_top += 1
@@ -154,7 +146,7 @@ def contact_forces(
         virial_yy += yi * fyi
         virial_xy += 0.5 * (xi * fyi + yi * fxi)
     if ledger is not None:
-        ledger[ELASTIC] += wall_energy(grains, kn, box)
+        ledger[ELASTIC] += wall_energy(grains, law, box)
     contacts += n_left + n_right + n_bottom + n_top
     force += left + right + bottom + top
     if n_left + n_right > 0:
@@ -168,12 +160,11 @@ def contact_forces(
 
 
 @kernel
-def wall_energy(grains: Grains, kn: float, box: Array) -> float:
+def wall_energy(grains: Grains, law: Law, box: Array) -> float:
     """Elastic energy of the contacts with walls."""
     total = 0.0
     for i in range(grains.x.size):
         x, y, r = grains.x[i], grains.y[i], grains.radius[i]
         for un in (box[0] - x + r, x + r - box[1], box[2] - y + r, y + r - box[3]):
-            if un > 0.0:
-                total += 0.5 * kn * un * un
+            total += energy(law, un, r)
     return total

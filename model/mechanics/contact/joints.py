@@ -27,6 +27,7 @@ from demflow.model.mechanics.contact.bonds import (
 )
 from demflow.model.mechanics.contact.energy import BREAKAGE, ELASTIC, JERKS, SLIP
 from demflow.model.mechanics.contact.grains import Array, Grains
+from demflow.model.mechanics.contact.law import Law, presses, relative_radius
 from demflow.model.mechanics.contact.laws import bond_shear, bond_shear_strength, slip, spent
 from demflow.model.mechanics.contact.neighbours import JOINED, Pairs
 
@@ -89,10 +90,10 @@ class Joints:
         self.made = False
         self.found = np.zeros(len(self.traces), dtype=bool)  # whether it ever crossed a contact
 
-    def join(self, grains: Grains, pairs: Pairs, kn: float, known: JointState) -> JointState:
+    def join(self, grains: Grains, pairs: Pairs, law: Law, known: JointState) -> JointState:
         """Let every pair across a trace that is new to the list join it; marks it in the list.
 
-        Pairs that touch hand their force (`kn` times the overlap, and their shear) to the joint
+        Pairs that touch hand their force (by the `law` of contact, and their shear) to the joint
         as far as it can carry it.
         """
         a, b = pairs.one.astype(np.int64), pairs.other.astype(np.int64)
@@ -111,7 +112,7 @@ class Joints:
                 continue
             pair = free[across]
             self.found[index] = True
-            made = _contacts(trace, grains, pairs, a[pair], b[pair], pair, sign, kn)
+            made = _contacts(trace, grains, pairs, a[pair], b[pair], pair, sign, law)
             known = _joined(known, made)
             pairs.bond[pair], pairs.shear[pair] = JOINED, 0.0
         return known
@@ -148,7 +149,7 @@ def _contacts(
     b: Array,
     pair: Array,
     sign: Array,
-    kn: float,
+    law: Law,
 ) -> JointState:
     """Contacts of pairs with one trace; `sign` tells which way its left normal points."""
     (x0, y0), (x1, y1) = trace.start, trace.end
@@ -158,7 +159,8 @@ def _contacts(
     distance = np.hypot(dx, dy)
     overlap = grains.radius[a] + grains.radius[b] - distance
     touch = overlap > 0.0
-    fn, fs = kn * np.maximum(overlap, 0.0), np.where(touch, pairs.shear[pair], 0.0)
+    fn = presses(law, overlap, relative_radius(grains.radius[a], grains.radius[b]))
+    fs = np.where(touch, pairs.shear[pair], 0.0)
     fx, fy = (fn * dx - fs * dy) / distance, (fn * dy + fs * dx) / distance
     half = np.minimum(grains.radius[a], grains.radius[b])
     stiff_n, stiff_s = trace.normal_stiffness * 2.0 * half, trace.shear_stiffness * 2.0 * half

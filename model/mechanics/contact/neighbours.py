@@ -1,7 +1,7 @@
 """Verlet lists: the pairs of grains that may touch before the list is made again.
 
 A list holds each pair once, under the grain with the smaller index, and carries what a
-contact remembers (its shear force and its bond), so that the memory survives a rebuild.
+contact remembers (its shear force, its moment and its bond), so that the memory survives a rebuild.
 It is complete as long as no grain moved by more than half the skin.
 """
 
@@ -29,6 +29,7 @@ class Pairs(NamedTuple):
     one: Array  # (m,) int32: grain i
     other: Array  # (m,) int32: grain j
     shear: Array  # (m,) shear force of the pair
+    moment: Array  # (m,) of its resistance to rolling
     bond: Array  # (m,) int32: index into the bonds, −1 for none, or JOINED
     x: Array  # (n,) centres when the list was made
     y: Array
@@ -40,6 +41,7 @@ def no_pairs(n: int) -> Pairs:
         np.zeros(n + 1, np.int64),
         np.empty(0, np.int32),
         np.empty(0, np.int32),
+        np.empty(0),
         np.empty(0),
         np.empty(0, np.int32),
         np.empty(n),
@@ -53,12 +55,13 @@ def some_pairs(pairs: Pairs, which: Array | slice) -> Pairs:
         one=pairs.one[which],
         other=pairs.other[which],
         shear=pairs.shear[which],
+        moment=pairs.moment[which],
         bond=pairs.bond[which],
     )
 
 
 def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
-    """All pairs closer than `skin`, with the shear forces and bonds of the old list.
+    """All pairs closer than `skin`, with the forces, moments and bonds of the old list.
 
     Pairs are ordered by i, then by j. Raises ModelError where a grain's position is no finite
     number.
@@ -79,6 +82,7 @@ def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
             np.empty(len(x) + 1, np.int64),
             np.empty(capacity, np.int32),
             np.empty(capacity, np.int32),
+            np.empty(capacity),
             np.empty(capacity),
             np.empty(capacity, np.int32),
             x.copy(),
@@ -157,8 +161,9 @@ def fill_pairs(
                     q += 1
                 if q < end and old.other[q] == new.other[k]:
                     new.shear[k], new.bond[k] = old.shear[q], old.bond[q]
+                    new.moment[k] = old.moment[q]
                 else:
-                    new.shear[k], new.bond[k] = 0.0, -1
+                    new.shear[k], new.bond[k], new.moment[k] = 0.0, -1, 0.0
     new.start[x.size] = count
     return count
 

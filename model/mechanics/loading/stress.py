@@ -26,8 +26,8 @@ from __future__ import annotations
 import numpy as np
 
 from demflow.model.mechanics.contact.bonds import INTACT, NO_BONDS
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.loading.state import held_state, state_of
 from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
@@ -159,7 +159,7 @@ def _held(
     cement = cemented(
         bonds, radius[a], radius[b], units.contact_distance, normal_stiffness, stiffness_ratio, seed
     )
-    law = ContactLaw(1.0, 1.0 / stiffness_ratio, friction)
+    law = Linear(1.0, 1.0 / stiffness_ratio, friction)
     return StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
 
 

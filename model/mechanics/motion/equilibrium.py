@@ -15,7 +15,7 @@ import numpy as np
 
 from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import INTACT, BondState, no_bonds
-from demflow.model.mechanics.contact.contacts import ContactLaw, Sums, contact_forces
+from demflow.model.mechanics.contact.contacts import Sums, contact_forces
 from demflow.model.mechanics.contact.energy import (
     KINETIC,
     MOVED,
@@ -27,6 +27,7 @@ from demflow.model.mechanics.contact.energy import (
 )
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.joints import Joints, JointState, Trace, among, no_joints
+from demflow.model.mechanics.contact.law import Law
 from demflow.model.mechanics.contact.neighbours import (
     RAN_AWAY,
     Pairs,
@@ -102,7 +103,7 @@ def advance(
     pairs: Pairs,
     bonds: BondState,
     joints: JointState,
-    law: ContactLaw,
+    law: Law,
     box: Array,
     servo: Servo,
     stop: Stop,
@@ -207,7 +208,7 @@ class Assembly(ABC):
 
     grains: Grains
     box: Array  # (4,) xmin, xmax, ymin, ymax
-    law: ContactLaw
+    law: Law
     dt: float = TIME_STEP
     skin: float = SKIN
     pairs: Pairs = field(init=False)
@@ -304,7 +305,7 @@ class Specimen(Assembly):
             known = no_pairs(len(self.grains.x))
         self.pairs = find_pairs(self.grains, self.skin, known)
         self._traces = Joints(traces, self.grains)
-        self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, no_joints())
+        self.joints = self._traces.join(self.grains, self.pairs, self.law, no_joints())
         self.first_box = self.box.copy()
 
     @property
@@ -349,7 +350,7 @@ class Specimen(Assembly):
         """Have the joints of the specimen of which these grains are the ones `kept` (n,) bool."""
         self._traces = whole._traces.among(kept)
         known = among(whole.joints, kept)
-        self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, known)
+        self.joints = self._traces.join(self.grains, self.pairs, self.law, known)
 
     def _advance(
         self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
@@ -373,5 +374,5 @@ class Specimen(Assembly):
                 f"a bond was stretched by more than {self.skin:g} mean radii and did not break; "
                 "try a bond modulus that is higher against the strengths"
             )
-        self.joints = self._traces.join(self.grains, self.pairs, self.law.kn, self.joints)
+        self.joints = self._traces.join(self.grains, self.pairs, self.law, self.joints)
         self.rebuilds += 1

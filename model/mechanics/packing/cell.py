@@ -16,9 +16,10 @@ import numpy as np
 
 from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import BondState, no_bonds
-from demflow.model.mechanics.contact.contacts import NO_WALLS, ContactLaw, Sums, contact_forces
+from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums, contact_forces
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.joints import JointState, no_joints
+from demflow.model.mechanics.contact.law import Law
 from demflow.model.mechanics.contact.neighbours import Pairs, find_pairs, no_pairs, some_pairs
 from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
@@ -84,7 +85,7 @@ def advance_cell(
     pairs: Pairs,
     bonds: BondState,
     joints: JointState,
-    law: ContactLaw,
+    law: Law,
     box: Array,
     no_walls: Array,
     servo: Servo,

@@ -22,8 +22,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import Array, along_strips, at_rest, scaled_mass
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.contact.neighbours import find_pairs
 from demflow.model.mechanics.motion.equilibrium import AT_REST, FIRE, TIME_STEP, Specimen, Stop
 from demflow.model.mechanics.motion.servo import STANDING, Servo
@@ -127,7 +127,7 @@ def strewn(
     specimen = kind(
         at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP)),
         np.array([-half[0], half[0], -half[1], half[1]]),
-        ContactLaw(1.0, SHEAR_STIFFNESS, 0.0),
+        Linear(1.0, SHEAR_STIFFNESS, 0.0),
     )
     apart = Stop(ratio=0.1, stress=np.inf, force=APART)
     if specimen.relax(STANDING, apart, damping=FIRE, steps=PARTING) != AT_REST:

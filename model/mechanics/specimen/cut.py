@@ -127,6 +127,7 @@ def _part(specimen: Specimen, kept: Array, box: Array) -> Specimen:
         one=number[a[stays]].astype(np.int32),
         other=number[b[stays]].astype(np.int32),
         shear=pairs.shear[stays],
+        moment=pairs.moment[stays],
         bond=pairs.bond[stays],
         x=grains.x[kept],
         y=grains.y[kept],

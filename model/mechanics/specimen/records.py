@@ -9,6 +9,7 @@ import numpy as np
 from demflow.model.mechanics.contact.bonds import INTACT, PARALLEL_BONDS, BondState, Cracks
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.contact.joints import APART
+from demflow.model.mechanics.contact.law import presses, relative_radius
 from demflow.model.mechanics.contact.neighbours import JOINED
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen import measures
@@ -41,7 +42,8 @@ def carried(specimen: Specimen) -> Carried:
     grains, bonds, joints = specimen.grains, specimen.bonds, specimen.joints
     a, b = measures.listed(specimen.pairs)
     overlap = measures.overlaps(grains.x, grains.y, grains.radius, a, b)
-    normal = specimen.law.kn * np.maximum(overlap, 0.0)
+    radius = relative_radius(grains.radius[a], grains.radius[b])
+    normal = presses(specimen.law, overlap, radius)
     shear = specimen.pairs.shear.copy()
     intact = bond_of_pair(specimen.pairs.bond, bonds)
     glued = intact >= 0

@@ -13,9 +13,9 @@ from demflow.model.mechanics.contact.bonds import (
     no_bonds,
     strengths,
 )
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import Array, at_rest, scaled_mass
 from demflow.model.mechanics.contact.joints import Trace
+from demflow.model.mechanics.contact.law import Law, Linear, stiffest
 from demflow.model.mechanics.contact.neighbours import Pairs, find_pairs, no_pairs
 from demflow.model.mechanics.motion.equilibrium import TIME_STEP, Specimen
 from demflow.model.mechanics.specimen.measures import listed
@@ -76,12 +76,13 @@ def build_specimen(
         one=a.astype(np.int32),
         other=b.astype(np.int32),
         shear=shear,
+        moment=np.zeros(len(a)),
         bond=np.arange(len(a), dtype=np.int32) if bonds else np.full(len(a), -1, np.int32),
         x=x,
         y=y,
     )
     traces = [_trace(line, unit, middle, normal_stiffness) for line in joints]
-    law = ContactLaw(1.0, 1.0 / stiffness_ratio, friction)
+    law = Linear(1.0, 1.0 / stiffness_ratio, friction)
     mass = scaled_mass(radius, _stiffest(law, cement, radius, traces), TIME_STEP)
     return Specimen(
         at_rest(x, y, radius, mass),
@@ -162,13 +163,13 @@ def _trace(line: JointLine, unit: float, middle: Array, normal_stiffness: float)
     )
 
 
-def _stiffest(law: ContactLaw, cement: BondState, radius: Array, traces: list[Trace]) -> float:
+def _stiffest(law: Law, cement: BondState, radius: Array, traces: list[Trace]) -> float:
     """Stiffness of the stiffest contact, along its normal or across it.
 
     Bending adds nothing: k_r is at most k_n r² / 3, and grains that turn against each other
     bend a bond that they do not shear.
     """
-    bonded = max(law.kn, law.ks) + (
+    bonded = float(stiffest(law)) + (
         float(np.maximum(cement.kn, cement.ks).max(initial=0.0))
         if cement.kind == PARALLEL_BONDS
         else 0.0

@@ -14,6 +14,7 @@ import numpy as np
 from demflow.model.mechanics.contact.bonds import INTACT, BondState
 from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums, contact_forces
 from demflow.model.mechanics.contact.grains import Array, Grains
+from demflow.model.mechanics.contact.law import Law, presses
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen.measures import listed
 from demflow.model.mechanics.static.load_carrying import load_carrying
@@ -24,8 +25,8 @@ from demflow.model.products import UnitLoads
 class Trial(ABC):
     """Displaced grains; `bear` sets the forces of their contacts."""
 
-    def __init__(self, grains: Grains, box: Array, kn: float, units: UnitLoads):
-        self.grains, self.box, self.kn = grains, box, kn
+    def __init__(self, grains: Grains, box: Array, law: Law, units: UnitLoads):
+        self.grains, self.box, self.law = grains, box, law
         self.n = len(grains.x)
         self.x, self.y, self.first_box = grains.x.copy(), grains.y.copy(), box.copy()
         starts = units.wall_start
@@ -79,7 +80,7 @@ class Trial(ABC):
             across, along = (grains.x, grains.y) if side < 2 else (grains.y, grains.x)
             reached = box[side] + 0.5 * tilt * along[held]
             depth = sense * (reached - across[held]) + grains.radius[held]
-            press = self.kn * np.maximum(depth, 0.0)
+            press = presses(self.law, depth, grains.radius[held])
             drag = sense * wanted[2] * sides[side] * share
             loads.append(float(press.sum()))
             counts.append(int(np.count_nonzero(press)))
@@ -117,7 +118,7 @@ class FrictionalTrial(Trial):
     """By the law of the explicit solver: contacts open, close and slip; bonds hold at first."""
 
     def __init__(self, specimen: Specimen, units: UnitLoads):
-        super().__init__(specimen.grains, specimen.box, specimen.law.kn, units)
+        super().__init__(specimen.grains, specimen.box, specimen.law, units)
         self.specimen, self.bonds = specimen, specimen.bonds
         specimen.pairs = load_carrying(specimen)
         self.shear = specimen.pairs.shear.copy()

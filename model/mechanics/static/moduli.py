@@ -108,7 +108,7 @@ def _forces(u: Array, contacts: Contacts, specimen: Specimen) -> tuple[Array, Ar
     distance = np.hypot(dx, dy)
     nx, ny = dx / distance, dy / distance
     overlap = grains.radius[a] + grains.radius[b] - distance
-    kn, ks, _ = springs(overlap, contacts.bond, specimen.bonds, specimen.law)
+    kn, ks, _ = springs(overlap, contacts, grains, specimen.bonds, specimen.law)
     ux, uy = u[b, 0] - u[a, 0], u[b, 1] - u[a, 1]
     normal = kn * (ux * nx + uy * ny)
     turn = u[a, 2] * (grains.radius[a] - 0.5 * overlap)

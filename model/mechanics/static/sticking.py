@@ -12,8 +12,9 @@ import numpy as np
 
 from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import CONTACT_BONDS, INTACT, BondState, bond_state
-from demflow.model.mechanics.contact.contacts import ContactLaw, Sums
+from demflow.model.mechanics.contact.contacts import Sums
 from demflow.model.mechanics.contact.grains import Array, Grains
+from demflow.model.mechanics.contact.law import Linear
 from demflow.model.mechanics.contact.laws import normal_force, shear_force, slip, tangential_step
 from demflow.model.mechanics.static.displaced import Trial
 from demflow.model.products import UnitLoads
@@ -24,11 +25,9 @@ NO_LOADS_NO_WALLS = (0.0,) * 6 + (0,) * 4  # of `Sums`
 class StickingTrial(Trial):
     """Displaced grains whose cemented contacts hold."""
 
-    def __init__(
-        self, grains: Grains, box: Array, law: ContactLaw, bonds: BondState, units: UnitLoads
-    ):
-        super().__init__(grains, box, law.kn, units)
-        self.law, self.bonds, self.units = law, bonds, units
+    def __init__(self, grains: Grains, box: Array, law: Linear, bonds: BondState, units: UnitLoads):
+        super().__init__(grains, box, law, units)
+        self.bonds, self.units = bonds, units
         self.normal, self.shear = np.empty((2, len(units.contact_a)))
         self.broken, self.spare = 0, 0.0
 
@@ -56,7 +55,7 @@ def held_forces(
     touching: Array,
     before: Array,
     bonds: BondState,
-    law: ContactLaw,
+    law: Linear,
     normal: Array,
     shear: Array,
 ) -> tuple[tuple[float, float, float], float, int, float]:

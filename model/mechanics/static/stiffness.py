@@ -17,8 +17,8 @@ from scipy.sparse import coo_array, csc_array
 
 from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import PARALLEL_BONDS, BondState
-from demflow.model.mechanics.contact.contacts import ContactLaw
 from demflow.model.mechanics.contact.grains import Array, Grains
+from demflow.model.mechanics.contact.law import Law, relative_radius, stiffnesses
 
 ANCHOR = 1e-8  # over k_n
 TOUCHING = 1e-6  # gap, in mean radii, below which grains count as touching
@@ -43,7 +43,7 @@ class Contacts(NamedTuple):
     walls: tuple[Array, ...]  # grains at left, right, bottom, top
 
 
-def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw) -> csc_array:
+def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: Law) -> csc_array:
     """The stiffness matrix (3 n + 2, 3 n + 2) about the present positions, over k_n.
 
     Every contact carries tension as it does compression, see `springs`.
@@ -55,7 +55,7 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw
     nx, ny = dx / distance, dy / distance
     overlap = grains.radius[a] + grains.radius[b] - distance
     arm_a, arm_b = grains.radius[a] - 0.5 * overlap, grains.radius[b] - 0.5 * overlap
-    kn, ks, kr = springs(overlap, contacts.bond, bonds, law)
+    kn, ks, kr = springs(overlap, contacts, grains, bonds, law)
     zero, one = np.zeros(len(a)), np.ones(len(a))
     strains = (
         (kn, (-nx, -ny, zero, nx, ny, zero)),
@@ -92,14 +92,19 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: ContactLaw
 
 
 def springs(
-    overlap: Array, bond: Array, bonds: BondState, law: ContactLaw
+    overlap: Array, contacts: Contacts, grains: Grains, bonds: BondState, law: Law
 ) -> tuple[Array, Array, Array]:
-    """Normal, shear and bending stiffness (c,) of contacts by overlap and bond, −1 for none.
+    """Normal, shear and bending stiffness (c,) of contacts, by their overlaps (c,) and bonds.
 
     A parallel bond adds its own to the grains', and stands alone across a gap. Contact bonds
     are as stiff there as grains that touch.
     """
-    kn, ks, kr = np.full(len(bond), law.kn), np.full(len(bond), law.ks), np.zeros(len(bond))
+    bond, radius = (
+        contacts.bond,
+        relative_radius(grains.radius[contacts.a], grains.radius[contacts.b]),
+    )
+    kn, ks = stiffnesses(law, overlap, radius)
+    kr = np.zeros(len(bond))
     if bonds.kind == PARALLEL_BONDS:
         apart = overlap < -TOUCHING
         kn[apart] = ks[apart] = 0.0
