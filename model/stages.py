@@ -126,7 +126,8 @@ def _observes_flows(scene: Scene) -> bool:
 
 def _superposes(scene: Scene) -> bool:
     stress, jointed = scene.stress, any(f.joint is not None for f in scene.fractures)
-    return bool(stress and scene.bonds and stress.method != "explicit" and not jointed)
+    plain = scene.grains.contact_law is None and not jointed
+    return bool(stress and scene.bonds and stress.method != "explicit" and plain)
 
 
 def _cement(scene: Scene) -> Bonds | None:
@@ -205,6 +206,7 @@ STAGES: tuple[Stage, ...] = (
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
             "friction": lambda s: s.grains.friction,
             "bonds": lambda s: s.bonds,
+            "contact": lambda s: s.grains.contact_law,
             "joints": lambda s: joint_lines(s.fractures, s.region),
             "seed": lambda s: s.grains.seed,
             "stress": lambda s: s.stress,
@@ -222,6 +224,7 @@ STAGES: tuple[Stage, ...] = (
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
             "friction": lambda s: s.grains.friction,
             "bonds": lambda s: s.bonds,
+            "contact": lambda s: s.grains.contact_law,
             "joints": lambda s: joint_lines(s.fractures, s.region),
             "test": lambda s: s.test,
             "seed": lambda s: s.grains.seed,

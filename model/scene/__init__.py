@@ -36,7 +36,7 @@ from demflow.model.scene.fractures import (
     TraceMap,
 )
 from demflow.model.scene.lines import JointLine, Line, joint_lines, lines_of
-from demflow.model.scene.rock import Bonds, FailureTest, Grains, Stress
+from demflow.model.scene.rock import Bonds, Contact, FailureTest, Grains, Stress
 from demflow.model.scene.trace_maps import MapFile
 
 __all__ = [
@@ -48,6 +48,7 @@ __all__ = [
     "Exponential",
     "FailureTest",
     "Circle",
+    "Contact",
     "Fluid",
     "Fracture",
     "FractureSet",

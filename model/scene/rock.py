@@ -8,7 +8,15 @@ from dataclasses import dataclass, replace
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Region
 
-__all__ = ["Bonds", "FailureTest", "Grains", "Stress", "grain_problems", "loading_problems"]
+__all__ = [
+    "Bonds",
+    "Contact",
+    "FailureTest",
+    "Grains",
+    "Stress",
+    "grain_problems",
+    "loading_problems",
+]
 
 LATTICES = ("square", "hexagonal")
 MOST_GRAINS = 2_000_000
@@ -16,6 +24,15 @@ MOST_GRAINS = 2_000_000
 # 1.66 from 0.157 to 0.22. Packing says which part of it a radius ratio can have.
 LEAST_POROSITY, GREATEST_POROSITY = 0.135, 0.22
 PACKING_PRESSURES = 1e-5, 1e-2  # over k_n, between which grains are packed
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """A law of contact other than the linear one without rolling resistance."""
+
+    law: str  # hertz | rolling
+    poissons_ratio: float | None = None  # of the grains, for Hertz-Mindlin
+    rolling_friction: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +108,19 @@ class Grains:
         default=2.5, above=0, help="normal over shear contact stiffness, k_n / k_s"
     )
     friction: float = parameter(default=0.5, at_least=0, help="contact friction coefficient")
+    contact: str = parameter(
+        default="linear",
+        choices=("linear", "hertz"),
+        help="law of contact: linear, or Hertz-Mindlin, for which modulus is the grains' Young's",
+    )
+    poissons_ratio: float = parameter(
+        default=0.25, at_least=0, at_most=0.5, help="of the grains; only Hertz-Mindlin reads it"
+    )
+    rolling_friction: float = parameter(
+        default=0.0,
+        at_least=0,
+        help="moment that a linear contact bears, over its normal force and relative radius",
+    )
     density: float = parameter(
         "kg/m3", default=2650.0, above=0, help="grain density (quasi-static results ignore it)"
     )
@@ -108,8 +138,31 @@ class Grains:
         if self.radii and max(self.radii) > 10.0 * min(self.radii):
             problems.append(("radii", "the largest radius is more than ten times the smallest"))
         problems += self._packing_problems()
+        problems += self._contact_problems()
         if problems:
             raise SceneError(problems)
+
+    def _contact_problems(self) -> list[tuple[str, str]]:
+        """What is wrong with the law of contact."""
+        if self.contact != "hertz":
+            return []
+        problems = []
+        if self.normal_stiffness is not None:
+            what = "a Hertz-Mindlin contact has no stiffness of its own; give modulus instead"
+            problems.append(("normal_stiffness", what))
+        if self.rolling_friction > 0.0:
+            what = "rolling resistance goes with contact: linear"
+            problems.append(("rolling_friction", what))
+        return problems
+
+    @property
+    def contact_law(self) -> Contact | None:
+        """The law of contact, None for the linear one without rolling resistance."""
+        if self.contact == "hertz":
+            return Contact("hertz", poissons_ratio=self.poissons_ratio)
+        if self.rolling_friction > 0.0:
+            return Contact("rolling", rolling_friction=self.rolling_friction)
+        return None
 
     def _packing_problems(self) -> list[tuple[str, str]]:
         """What is wrong with the targets of the packing."""
@@ -301,6 +354,8 @@ def loading_problems(
         if load is not None and grains.packing == "periodic":
             what = f"a periodic packing has no walls for a {name}; take grains.packing: random"
             yield name, what
+    if grains.contact_law is not None:
+        yield from _nonlinear_problems(grains, bonds, stress)
     if bonds is not None:
         if stress is None and test is None:
             yield "bonds", "bonds act only where the scene names a stress or a test"
@@ -309,6 +364,20 @@ def loading_problems(
         yield "test.kind", "unbonded grains bear no tension; add bonds"
     if stress is not None:
         yield from _unbonded_problems(grains, stress)
+
+
+def _nonlinear_problems(grains: Grains, bonds: Bonds | None, stress: Stress | None) -> Problems:
+    """What is wrong with loads on grains whose contacts are not linear, or resist rolling."""
+    if grains.contact == "hertz" and bonds is not None and bonds.kind == "contact":
+        what = "a contact bond is as stiff as its contact, which is not linear; take parallel"
+        yield "bonds.kind", what
+    if stress is not None and stress.method == "static":
+        what = "static solves linear contacts that do not resist rolling; take explicit"
+        yield "stress.method", what
+    if stress is not None and abs(stress.components[2]) > 0.0:
+        what = "such contacts are loaded along the axes only; leave the angle out and turn "
+        what += "fractures, wells and probes by minus the angle instead"
+        yield "stress.angle", what
 
 
 def _unbonded_problems(grains: Grains, stress: Stress) -> Problems:

@@ -17,7 +17,7 @@ from demflow.model.mechanics.contact.neighbours import Pairs
 from demflow.model.mechanics.loading.stress import load, unit_loads
 from demflow.model.mechanics.motion.equilibrium import NEVER, Specimen
 from demflow.model.mechanics.motion.servo import STANDING
-from demflow.model.mechanics.specimen.rock import build_specimen, cemented, scaled
+from demflow.model.mechanics.specimen.rock import build_specimen, cemented, elasticity, scaled
 from demflow.model.mechanics.static import static, wall_contacts
 from demflow.model.mechanics.static.displaced import FrictionalTrial
 from demflow.model.mechanics.static.sticking import StickingTrial
@@ -45,7 +45,8 @@ def trials(bonds: Bonds, units: UnitLoads) -> tuple[StickingTrial, FrictionalTri
     """The same rock by the law of contacts that hold, and by the true one."""
     _, x, y, radius, box, _ = scaled(packed())
     a, b = units.contact_a, units.contact_b
-    cement = cemented(bonds, radius[a], radius[b], units.contact_distance, KN, 2.5, 0)
+    elastic = elasticity(None, KN, 2.5, 0.5, 0.0)
+    cement = cemented(bonds, radius[a], radius[b], units.contact_distance, elastic, 2.5, 0)
     law = Linear(1.0, 0.4, 0.5)
     held = StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
     return held, FrictionalTrial(build_specimen(packed(), KN, 2.5, 0.5, bonds), units)

@@ -30,10 +30,10 @@ from demflow.model.mechanics.motion.equilibrium import (
 )
 from demflow.model.mechanics.motion.servo import STANDING, TOO_STIFF, Servo
 from demflow.model.mechanics.specimen import measures, records
-from demflow.model.mechanics.specimen.rock import build_specimen
+from demflow.model.mechanics.specimen.rock import build_specimen, elasticity
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StrengthTest
-from demflow.model.scene import Bonds, FailureTest, JointLine
+from demflow.model.scene import Bonds, Contact, FailureTest, JointLine
 
 INSTALLED = 1e-5  # pressure over k_n at which bonds are installed
 RELIEVED = Stop(ratio=0.01, stress=0.05)  # at rest at that pressure
@@ -52,6 +52,7 @@ RECORDS = 1000  # along the largest strain
 ELASTIC = 0.5  # part of the peak stress below which the moduli are read
 DAMPING = 0.7  # local: strain rates are small, waves should die
 FAR = 10.0  # widths and heights by which walls are taken away
+EXPECTED = 1e-4  # stress over Young's modulus for which a step is fitted at the least
 LEAST_STRESS = 1e-7  # over k_n, that a servo can hold
 OVERSHOOTS = f"the servo of the confining stress oscillates, for {TOO_STIFF}"
 
@@ -76,6 +77,7 @@ def strength(
     friction: float,
     bonds: Bonds | None,
     test: FailureTest,
+    contact: Contact | None = None,
     joints: tuple[JointLine, ...] = (),
     seed: int = 0,
 ) -> StrengthTest:
@@ -84,7 +86,7 @@ def strength(
     Parameters
     ----------
     packing : the packed state; all of it is the specimen.
-    normal_stiffness, stiffness_ratio, friction, bonds, joints : as for `stress.load`.
+    normal_stiffness, stiffness_ratio, friction, bonds, contact, joints : as for `stress.load`.
     test : what is done to it.
     seed : of the bonds' strengths.
 
@@ -95,8 +97,11 @@ def strength(
     """
     relieved = relieve(packing)
     unit, middle = float(packing.radius.mean()), _middle(relieved.box)
+    pressure = max(test.confining_stress, EXPECTED * normal_stiffness)
+    elastic = elasticity(contact, normal_stiffness, stiffness_ratio, friction, pressure)
+    normal_stiffness = elastic.normal_stiffness
     specimen = build_specimen(
-        relieved, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed
+        relieved, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed, elastic
     )
     confining = max(test.confining_stress / normal_stiffness, LEAST_STRESS)
     if test.kind == "tension":

@@ -38,12 +38,19 @@ from demflow.model.mechanics.motion.equilibrium import (
     Stop,
 )
 from demflow.model.mechanics.motion.servo import TOO_STIFF, Servo, advanced, setpoint
-from demflow.model.mechanics.specimen.rock import build_specimen, cemented, scaled
+from demflow.model.mechanics.specimen.rock import (
+    Elasticity,
+    build_specimen,
+    cemented,
+    elasticity,
+    packed_pressure,
+    scaled,
+)
 from demflow.model.mechanics.static import static
 from demflow.model.mechanics.static.sticking import StickingTrial
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StressState, UnitLoads
-from demflow.model.scene import Bonds, JointLine, Stress
+from demflow.model.scene import Bonds, Contact, JointLine, Stress
 
 INERTIAL_NUMBER = 5e-5
 CALM = 1.0  # unbalance, over what a run allows at its end, at which its path goes half as fast
@@ -76,6 +83,7 @@ def load(
     stiffness_ratio: float,
     friction: float,
     bonds: Bonds | None,
+    contact: Contact | None = None,
     joints: tuple[JointLine, ...] = (),
     seed: int = 0,
     stress: Stress,
@@ -92,6 +100,8 @@ def load(
     stiffness_ratio : k_n / k_s.
     friction : Coulomb coefficient between grains; walls are frictionless.
     bonds : cement on all contacts of the packed state, or None.
+    contact : a law of contact other than the linear one; of a Hertz-Mindlin one
+        `normal_stiffness` is the grains' Young's modulus.
     joints : smooth joints along straight traces; their contacts have no other cement.
     seed : of the bonds' strengths.
     stress : target stresses, Pa, compression positive.
@@ -101,11 +111,17 @@ def load(
     ModelError : the specimen flows (beyond its strength), or did not come to rest in the
         number of steps that is allowed for; the text says how far it came and what to try.
     """
+    elastic = elasticity(
+        contact, normal_stiffness, stiffness_ratio, friction, max(stress.xx, stress.yy)
+    )
+    normal_stiffness = elastic.normal_stiffness
     wanted = np.array(stress.components) / normal_stiffness
-    rock = (packing, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed)
+    rock = (packing, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed, elastic)
     why = "there are no bonds" if bonds is None else "there are joints"
-    if units is not None and bonds is not None and stress.method != "explicit":
-        trial = _held(packing, units, normal_stiffness, stiffness_ratio, friction, bonds, seed)
+    if contact is not None:
+        why = "contacts are not linear, or resist rolling"
+    if units is not None and bonds is not None and contact is None and stress.method != "explicit":
+        trial = _held(packing, units, elastic, stiffness_ratio, bonds, seed)
         found = static.superpose(trial, units, wanted, stress.tolerance)
         if found.reached:
             return held_state(trial, found, packing, normal_stiffness)
@@ -127,7 +143,7 @@ def load(
             "minus the angle instead, or try stronger bonds or smaller stresses"
         )
     specimen = build_specimen(*rock)
-    pressure = float(packing.packing_pressure)
+    pressure = packed_pressure(packing, elastic.law)
     path = straight_path(pressure, float(wanted[0]), float(wanted[1]))
     ends = (path.start_xx, path.start_yy), (path.target_xx, path.target_yy)
     slowest = min(advanced(path, *end, ratio=0.0) for end in ends)
@@ -147,9 +163,8 @@ def load(
 def _held(
     packing: Packing,
     units: UnitLoads,
-    normal_stiffness: float,
+    elastic: Elasticity,
     stiffness_ratio: float,
-    friction: float,
     bonds: Bonds,
     seed: int,
 ) -> StickingTrial:
@@ -157,10 +172,10 @@ def _held(
     _, x, y, radius, box, _ = scaled(packing)
     a, b = units.contact_a, units.contact_b
     cement = cemented(
-        bonds, radius[a], radius[b], units.contact_distance, normal_stiffness, stiffness_ratio, seed
+        bonds, radius[a], radius[b], units.contact_distance, elastic, stiffness_ratio, seed
     )
-    law = Linear(1.0, 1.0 / stiffness_ratio, friction)
-    return StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, law, cement, units)
+    assert isinstance(elastic.law, Linear)
+    return StickingTrial(at_rest(x, y, radius, np.ones(len(x))), box, elastic.law, cement, units)
 
 
 def straight_path(pressure: float, xx: float, yy: float) -> Servo:

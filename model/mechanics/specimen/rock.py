@@ -15,12 +15,20 @@ from demflow.model.mechanics.contact.bonds import (
 )
 from demflow.model.mechanics.contact.grains import Array, at_rest, scaled_mass
 from demflow.model.mechanics.contact.joints import Trace
-from demflow.model.mechanics.contact.law import Law, Linear, stiffest
+from demflow.model.mechanics.contact.law import (
+    Hertz,
+    Law,
+    Linear,
+    Rolling,
+    presses,
+    relative_radius,
+    stiffest,
+)
 from demflow.model.mechanics.contact.neighbours import Pairs, find_pairs, no_pairs
 from demflow.model.mechanics.motion.equilibrium import TIME_STEP, Specimen
 from demflow.model.mechanics.specimen.measures import listed
 from demflow.model.products import Packing
-from demflow.model.scene import Bonds, JointLine
+from demflow.model.scene import Bonds, Contact, JointLine
 
 
 class Scaled(NamedTuple):
@@ -49,6 +57,42 @@ def scaled(packing: Packing) -> Scaled:
     )
 
 
+class Elasticity(NamedTuple):
+    """How contacts respond: the law in units of k_n, and what these are."""
+
+    law: Law
+    normal_stiffness: float  # k_n, Pa
+    bond_modulus: float  # of parallel bonds that have none of their own, over k_n
+
+
+def elasticity(
+    contact: Contact | None,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    pressure: float,
+) -> Elasticity:
+    """The law of contact of a scene.
+
+    Of a linear contact k_n is given; of a Hertz-Mindlin one it is the tangent stiffness of two
+    grains of mean radius under the force 2 r̄ p that a `pressure` p (Pa) puts on them, and
+    `normal_stiffness` is the grains' Young's modulus.
+    """
+    if contact is None:
+        law: Law = Linear(1.0, 1.0 / stiffness_ratio, friction)
+    elif contact.law == "rolling":
+        law = Rolling(1.0, 1.0 / stiffness_ratio, friction, contact.rolling_friction or 0.0)
+    else:
+        nu = contact.poissons_ratio or 0.0
+        effective = normal_stiffness / (2.0 * (1.0 - nu**2))
+        overlap = (3.0 * np.sqrt(2.0) * pressure / effective) ** (2.0 / 3.0)
+        unit = effective * np.sqrt(0.5 * overlap)
+        shear = 2.0 * (1.0 - nu) / (2.0 - nu)
+        law = Hertz(1.0, float(effective / unit), shear, friction)
+        return Elasticity(law, float(unit), float(normal_stiffness / unit))
+    return Elasticity(law, normal_stiffness, 1.0)
+
+
 def build_specimen(
     packing: Packing,
     normal_stiffness: float,
@@ -57,8 +101,15 @@ def build_specimen(
     bonds: Bonds | None,
     joints: tuple[JointLine, ...] = (),
     seed: int = 0,
+    elastic: Elasticity | None = None,
 ) -> Specimen:
-    """The packed grains in units of mean radius and k_n, centred, with bonds and joints."""
+    """The packed grains in units of mean radius and k_n, centred, with bonds and joints.
+
+    Contacts are linear unless `elastic` says otherwise, which then has `normal_stiffness` too.
+    """
+    if elastic is None:
+        elastic = elasticity(None, normal_stiffness, stiffness_ratio, friction, 0.0)
+    normal_stiffness = elastic.normal_stiffness
     unit, x, y, radius, box, middle = scaled(packing)
     a, b = packing.contact_a, packing.contact_b
     limit = friction * packing.normal_force
@@ -68,9 +119,7 @@ def build_specimen(
         if bonds.installation_gap > 0.0:
             a, b, shear = _with_near(a, b, shear, x, y, radius, bonds.installation_gap)
         distance = np.hypot(x[b] - x[a], y[b] - y[a])
-        cement = cemented(
-            bonds, radius[a], radius[b], distance, normal_stiffness, stiffness_ratio, seed
-        )
+        cement = cemented(bonds, radius[a], radius[b], distance, elastic, stiffness_ratio, seed)
     contacts = Pairs(
         start=np.searchsorted(a, np.arange(len(x) + 1)),
         one=a.astype(np.int32),
@@ -82,7 +131,7 @@ def build_specimen(
         y=y,
     )
     traces = [_trace(line, unit, middle, normal_stiffness) for line in joints]
-    law = Linear(1.0, 1.0 / stiffness_ratio, friction)
+    law = elastic.law
     mass = scaled_mass(radius, _stiffest(law, cement, radius, traces), TIME_STEP)
     return Specimen(
         at_rest(x, y, radius, mass),
@@ -94,16 +143,27 @@ def build_specimen(
     )
 
 
+def packed_pressure(packing: Packing, law: Law) -> float:
+    """Pressure of the packed grains over k_n, by a law of contact; nothing moves."""
+    if isinstance(law, Linear | Rolling):
+        return float(packing.packing_pressure)
+    unit, a, b = float(packing.radius.mean()), packing.contact_a, packing.contact_b
+    overlap = packing.normal_force / unit
+    forces = presses(law, overlap, relative_radius(packing.radius[a], packing.radius[b]) / unit)
+    return float(packing.packing_pressure) * float(forces.sum() / max(overlap.sum(), 1e-300))
+
+
 def cemented(
     bonds: Bonds,
     radius_a: Array,
     radius_b: Array,
     distance: Array,
-    normal_stiffness: float,
+    elastic: Elasticity,
     stiffness_ratio: float,
     seed: int,
 ) -> BondState:
     """Bonds between grains of radii (m,), a distance apart."""
+    normal_stiffness = elastic.normal_stiffness
     random = np.random.Generator(np.random.PCG64([seed, len(distance)]))
     tensile, shear = (
         strengths(mean / normal_stiffness, deviation / normal_stiffness, len(distance), random)
@@ -118,8 +178,9 @@ def cemented(
         shear_strength=shear,
         friction=bonds.friction,
         radius_multiplier=bonds.radius_multiplier,
-        # the grains' E_c = k_n, where it has none of its own
-        modulus=1.0 if bonds.modulus is None else bonds.modulus / normal_stiffness,
+        modulus=(
+            elastic.bond_modulus if bonds.modulus is None else bonds.modulus / normal_stiffness
+        ),
         stiffness_ratio=bonds.stiffness_ratio or stiffness_ratio,
         radius_a=radius_a,
         radius_b=radius_b,
