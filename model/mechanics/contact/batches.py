@@ -146,7 +146,9 @@ def cement(
         if ledger is not None:
             dn = d - np.sqrt((w[DX + q] - w[UX + q]) ** 2 + (w[DY + q] - w[UY + q]) ** 2)
             fn, fs = w[FN + q], w[FS + q]
-            lost = spent(pairs.shear[k], fs, ks, us)
+            before = pairs.shear[k]
+            lost = _stored(before, shear_stiffness(law, un + dn, r)) - _stored(fs, ks)
+            lost -= 0.5 * (before + fs) * us
             glued = b >= 0 and bonds.kind == CONTACT_BONDS
             if state != INTACT:
                 kn = law.kn
@@ -154,14 +156,8 @@ def cement(
             else:
                 ledger[SLIP] += lost
                 if not glued:
-                    before = shear_stiffness(law, un + dn, r)
-                    ledger[JERKS] += (
-                        energy(law, un + dn, r)
-                        - energy(law, un, r)
-                        - 0.5 * (press(law, un + dn, r) + fn) * dn
-                        + _stored(pairs.shear[k], before)
-                        - _stored(pairs.shear[k], ks)
-                    )
+                    ledger[JERKS] += energy(law, un + dn, r) - energy(law, un, r)
+                    ledger[JERKS] -= 0.5 * (press(law, un + dn, r) + fn) * dn
             held = 0.5 * fn * fn / law.kn if glued and state == INTACT else energy(law, un, r)
             ledger[ELASTIC] += held + _stored(fs, ks)
         if b >= 0 and bonds.kind == PARALLEL_BONDS:
@@ -188,7 +184,7 @@ def cement(
 @kernel
 def _stored(force: float, stiffness: float) -> float:
     """Elastic energy of a spring; one without stiffness carries nothing, but for round-off."""
-    return 0.5 * force * force / max(stiffness, 1e-300)
+    return 0.5 * force * force / stiffness if stiffness > 0.0 else 0.0
 
 
 @kernel

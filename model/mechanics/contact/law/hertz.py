@@ -5,7 +5,7 @@ Johnson 1985, Contact Mechanics, section 4.2), so that a layer of thickness 2 r�
 (2/3) (E* / r̄) √r U_n^{3/2} per unit depth. Across the contact they have the stiffness without slip
 of Mindlin (1949), k_s / k_n = 2 (1 − ν) / (2 − ν). The shear force grows by that of the moment
 and is not cut back as the normal force falls: a cycle of both may make or lose a little energy
-(Elata & Berryman 1996), which the ledger counts as jerks.
+(Elata & Berryman 1996), which the ledger counts with slip.
 """
 
 from __future__ import annotations
