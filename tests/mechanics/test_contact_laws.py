@@ -64,10 +64,11 @@ def test_grains_that_part_bear_nothing(law):
 def test_arrays_and_kernels_agree_with_the_scalar_law(law):
     rng = np.random.default_rng(1)
     overlap, r = rng.uniform(-0.1, 0.1, 50), rng.uniform(0.1, 2.0, 50)
-    assert np.array_equal(presses(law, overlap, r), [press(law, *at) for at in zip(overlap, r)])
+    at = list(zip(overlap, r, strict=True))
+    assert np.array_equal(presses(law, overlap, r), [press(law, *one) for one in at])
     normal, shear = stiffnesses(law, overlap, r)
-    assert np.array_equal(normal, [stiffness(law, *at) for at in zip(overlap, r)])
-    assert np.array_equal(shear, [shear_stiffness(law, *at) for at in zip(overlap, r)])
+    assert np.array_equal(normal, [stiffness(law, *one) for one in at])
+    assert np.array_equal(shear, [shear_stiffness(law, *one) for one in at])
 
 
 @every_law
@@ -78,9 +79,7 @@ def test_action_is_reaction_and_no_torque_is_left_over(law):
     grains.vx[:], grains.vy[:], grains.spin[:] = 1e-2 * rng.standard_normal((3, n))
     pairs = find_pairs(grains, 0.3, no_pairs(n))
     for step in range(3):
-        contact_forces(
-            grains, pairs, no_bonds(), no_joints(), law, FAR, step, 1.0, 0.0, 0.0, None
-        )
+        contact_forces(grains, pairs, no_bonds(), no_joints(), law, FAR, step, 1.0, 0.0, 0.0, None)
     size = np.abs(grains.fx).sum()
     assert abs(grains.fx.sum()) < 1e-13 * size
     assert abs(grains.fy.sum()) < 1e-13 * size
@@ -135,9 +134,7 @@ def rolled(law, angle, steps=50, overlap=1e-3):
     grains.spin[:] = [-0.5 * turn, 0.5 * turn]  # no shear: the surfaces move alike
     moments = []
     for step in range(steps):
-        contact_forces(
-            grains, pairs, no_bonds(), no_joints(), law, FAR, step, 1.0, 0.0, 0.0, None
-        )
+        contact_forces(grains, pairs, no_bonds(), no_joints(), law, FAR, step, 1.0, 0.0, 0.0, None)
         moments.append(grains.torque[1])
     return np.array(moments), turn * np.arange(1, steps + 1)
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +35,17 @@ from demflow.model.mechanics.contact.neighbours import (
     largest_displacement,
     no_pairs,
 )
+from demflow.model.mechanics.motion.bounds import (
+    Walls,
+    follow,
+    follows_path,
+    movers,
+    off_target,
+    stretch_bounds,
+    swings_for_ever,
+    unbalance,
+    walls_of,
+)
 from demflow.model.mechanics.motion.motion import (
     START_MIXING,
     Fire,
@@ -47,10 +58,7 @@ from demflow.model.mechanics.motion.servo import (
     STANDING,
     Servo,
     advanced,
-    move_walls,
-    oscillates,
     setpoint,
-    stress_error,
     stretches,
 )
 from demflow.model.outcome import ModelError
@@ -104,7 +112,7 @@ def advance(
     bonds: BondState,
     joints: JointState,
     law: Law,
-    box: Array,
+    bounds: Any,
     servo: Servo,
     stop: Stop,
     run: Run,
@@ -118,10 +126,10 @@ def advance(
 ) -> tuple[int, int, Run, Sums]:
     """Step until at rest, until the list of pairs may be stale, or until a bound is met.
 
-    `box` (4,) are the walls xmin, xmax, ymin, ymax, which the servo moves; `dt` is the time step,
-    at most this with FIRE. `damping` is the coefficient of local damping, or FIRE. `slack` is the
-    distance that grains may move before the list is looked at again, and `reach` the one over
-    which a stretch draws two that are not in it together: the largest radius and the skin.
+    `bounds` are the walls, which the servo moves, or a cell (see `bounds`); `dt` is the time
+    step, at most this with FIRE. `damping` is the coefficient of local damping, or FIRE. `slack`
+    is the distance that grains may move before the list is looked at again, and `reach` the one
+    over which a stretch draws two that are not in it together: the largest radius and the skin.
     `steps` is the most that are taken. `swings` (2, 4) is the memory of `servo.oscillates`. A
     `ledger` (see `energy`) is kept where it is given, which local damping allows. Returns (how
     it ended, steps taken, run, sums).
@@ -130,12 +138,17 @@ def advance(
     since_x, since_y, strain_x, strain_y = run.since_x, run.since_y, run.strain_x, run.strain_y
     progress, lead_x, lead_y = run.progress, run.lead_x, run.lead_y
     ratio, error = run.ratio, run.error
+    box, moving = bounds.box, movers(bounds, grains)
+    if not follows_path(bounds):
+        progress = 1.0
     taken = 0
     while True:
+        follow(bounds, grains)
         sums = contact_forces(
-            grains, pairs, bonds, joints, law, box, run.step + taken,
+            grains, pairs, bonds, joints, law, walls_of(bounds), run.step + taken,
             last, stretch_x, stretch_y, ledger,
         )  # fmt: skip
+        unbalanced = unbalance(bounds, grains, sums)
         if ledger is not None:
             walls = (sums.left, sums.right, sums.bottom, sums.top)
             half_work(ledger, grains, walls, last, stretch_x, stretch_y, True)
@@ -145,16 +158,16 @@ def advance(
             break
         wanted_xx, wanted_yy = setpoint(servo, progress)
         if servo.gain > 0.0:
-            error = stress_error(servo, sums, box, wanted_xx, wanted_yy)
-            if oscillates(servo, swings, sums, box, wanted_xx, wanted_yy):
+            error = off_target(bounds, servo, sums, wanted_xx, wanted_yy)
+            if swings_for_ever(bounds, servo, swings, sums, wanted_xx, wanted_yy):
                 end = OSCILLATES
                 break
         mean = sums.force / max(sums.contacts, 1)
         if progress < 1.0:
             if error < servo.band:
-                off = sums.unbalanced / max(max(stop.ratio, CALMEST) * mean, 1e-300)
+                off = unbalanced / max(max(stop.ratio, CALMEST) * mean, 1e-300)
                 progress = min(1.0, progress + advanced(servo, wanted_xx, wanted_yy, off))
-        elif error <= stop.stress and (sums.unbalanced <= stop.ratio * mean or mean < stop.force):
+        elif error <= stop.stress and (unbalanced <= stop.ratio * mean or mean < stop.force):
             end = AT_REST
             break
         if max(abs(strain_x), abs(strain_y)) > stop.strain:
@@ -170,18 +183,18 @@ def advance(
             stretch_x, stretch_y = stretches(servo, sums, box, wanted_xx, wanted_yy, lead_x, lead_y)
             lead_x += LEAD * (stretch_x - lead_x)
             lead_y += LEAD * (stretch_y - lead_y)
-            move_walls(servo, sums, box, law.kn, wanted_xx, wanted_yy, stretch_x, stretch_y)
+            stretch_bounds(bounds, servo, sums, law.kn, wanted_xx, wanted_yy, stretch_x, stretch_y)
         if damping < 0.0:
-            fire = fire_velocities(grains, fire, dt)
+            fire = fire_velocities(moving, fire, dt)
             last = fire.dt
         else:
-            damped_velocities(grains, dt, damping, ledger)
+            damped_velocities(moving, dt, damping, ledger)
             last = dt
         if ledger is not None:
             for side in range(4):
                 ledger[MOVED + side] = box[side] - before[side]
             half_work(ledger, grains, walls, last, stretch_x, stretch_y, False)
-        fastest = move(grains, last, stretch_x, stretch_y)
+        fastest = move(moving, last, stretch_x, stretch_y)
         since_x *= 1.0 + stretch_x
         since_y *= 1.0 + stretch_y
         strain_x += stretch_x
@@ -193,7 +206,7 @@ def advance(
             break
     if end != LIST_STALE:  # the contacts have seen the last step
         last = stretch_x = stretch_y = 0.0
-        ratio = sums.unbalanced * sums.contacts / max(sums.force, 1e-300)
+        ratio = unbalanced * sums.contacts / max(sums.force, 1e-300)
     run = Run(
         fire=fire, step=run.step + taken, dt=last, stretch_x=stretch_x, stretch_y=stretch_y,
         since_x=since_x, since_y=since_y, strain_x=strain_x, strain_y=strain_y,
@@ -356,7 +369,8 @@ class Specimen(Assembly):
         self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
     ) -> tuple[int, int, Run, Sums]:
         ended: tuple[int, int, Run, Sums] = advance(
-            self.grains, self.pairs, self.bonds, self.joints, self.law, self.box, servo, stop,
+            self.grains, self.pairs, self.bonds, self.joints, self.law, Walls(self.box), servo,
+            stop,
             self.run, self.dt, damping, slack, reach, steps, self._swings, self.ledger,
         )  # fmt: skip
         return ended

@@ -15,23 +15,23 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.compile import kernel
-from demflow.model.mechanics.contact.bonds import BondState, no_bonds
-from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums, contact_forces
+from demflow.model.mechanics.contact.bonds import no_bonds
+from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums
 from demflow.model.mechanics.contact.grains import Array, Grains
-from demflow.model.mechanics.contact.joints import JointState, no_joints
-from demflow.model.mechanics.contact.law import Law
-from demflow.model.mechanics.contact.neighbours import Pairs, find_pairs, no_pairs, some_pairs
-from demflow.model.mechanics.motion.equilibrium import (
-    AT_REST,
-    LIST_STALE,
-    NOT_FINITE,
-    OUT_OF_STEPS,
-    Assembly,
-    Run,
-    Stop,
+from demflow.model.mechanics.contact.joints import no_joints
+from demflow.model.mechanics.contact.neighbours import find_pairs, no_pairs, some_pairs
+from demflow.model.mechanics.motion.bounds import (
+    follow,
+    follows_path,
+    movers,
+    off_target,
+    stretch_bounds,
+    swings_for_ever,
+    unbalance,
+    walls_of,
 )
-from demflow.model.mechanics.motion.motion import damped_velocities, fire_velocities, move
-from demflow.model.mechanics.motion.servo import Servo, mean_stresses, setpoint, stretches
+from demflow.model.mechanics.motion.equilibrium import Assembly, Run, Stop, advance
+from demflow.model.mechanics.motion.servo import Servo, mean_stresses
 from demflow.model.mechanics.specimen.measures import listed
 from demflow.model.outcome import ModelError
 
@@ -77,84 +77,71 @@ def fold_forces(grains: Grains, images: Images) -> float:
     return total / max(loaded, 1)
 
 
-@kernel
-def advance_cell(
-    grains: Grains,
-    real: Grains,
-    images: Images,
-    pairs: Pairs,
-    bonds: BondState,
-    joints: JointState,
-    law: Law,
-    box: Array,
-    no_walls: Array,
-    servo: Servo,
-    stop: Stop,
-    run: Run,
-    dt: float,
-    damping: float,
-    slack: float,
-    reach: float,
-    steps: int,
-) -> tuple[int, int, Run, Sums]:
-    """Step until at rest, until the list of pairs may be stale, or until a bound is met.
+class Period(NamedTuple):
+    """A cell of sides `box`, whose grains are `real`, the first part of all with their images."""
 
-    As `equilibrium.advance`, with a cell of periods `box` in place of walls; `real` are the
-    grains without their images, the first part of `grains`.
-    """
-    fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
-    since_x, since_y, ratio, error = run.since_x, run.since_y, run.ratio, run.error
-    taken = 0
-    while True:
-        place_images(grains, images, box)
-        sums = contact_forces(
-            grains, pairs, bonds, joints, law, no_walls, run.step + taken,
-            last, stretch_x, stretch_y, None,
-        )  # fmt: skip
-        unbalanced = fold_forces(grains, images)
-        mean = sums.force / max(sums.contacts, 1)
-        if not np.isfinite(sums.virial_xx + sums.virial_yy):
-            end = NOT_FINITE
-            break
-        wanted_xx, wanted_yy = setpoint(servo, 1.0)
-        if servo.gain > 0.0:
-            mean_xx, mean_yy = mean_stresses(sums, box)
-            error = max(abs(mean_xx - wanted_xx) / wanted_xx, abs(mean_yy - wanted_yy) / wanted_yy)
-        if error <= stop.stress and (unbalanced <= stop.ratio * mean or mean < stop.force):
-            end = AT_REST
-            break
-        if taken >= steps:
-            end = OUT_OF_STEPS
-            break
-        if servo.gain > 0.0:
-            stretch_x, stretch_y = stretches(servo, sums, box, wanted_xx, wanted_yy)
-            box[0] *= 1.0 + stretch_x
-            box[1] *= 1.0 + stretch_x
-            box[2] *= 1.0 + stretch_y
-            box[3] *= 1.0 + stretch_y
-        if damping < 0.0:
-            fire = fire_velocities(real, fire, dt)
-            last = fire.dt
-        else:
-            damped_velocities(real, dt, damping, None)
-            last = dt
-        fastest = move(real, last, stretch_x, stretch_y)
-        since_x *= 1.0 + stretch_x
-        since_y *= 1.0 + stretch_y
-        slack -= last * np.sqrt(fastest) + reach * max(abs(stretch_x), abs(stretch_y))
-        taken += 1
-        if not slack >= 0.0:
-            end = LIST_STALE
-            break
-    if end != LIST_STALE:  # the contacts have seen the last step
-        last = stretch_x = stretch_y = 0.0
-        ratio = unbalanced / max(mean, 1e-300)
-    run = Run(
-        fire=fire, step=run.step + taken, dt=last, stretch_x=stretch_x, stretch_y=stretch_y,
-        since_x=since_x, since_y=since_y, strain_x=0.0, strain_y=0.0,
-        progress=1.0, lead_x=0.0, lead_y=0.0, ratio=ratio, error=error,
-    )  # fmt: skip
-    return end, taken, run, sums
+    box: Array  # (4,)
+    real: Grains
+    images: Images
+    no_walls: Array
+
+
+@walls_of.of(Period)
+def _walls_of(bounds: Period) -> Array:
+    return bounds.no_walls
+
+
+@movers.of(Period)
+def _movers(bounds: Period, grains: Grains) -> Grains:
+    return bounds.real
+
+
+@follow.of(Period)
+def _follow(bounds: Period, grains: Grains) -> None:
+    place_images(grains, bounds.images, bounds.box)
+
+
+@unbalance.of(Period)
+def _unbalance(bounds: Period, grains: Grains, sums: Sums) -> float:
+    return fold_forces(grains, bounds.images)
+
+
+@follows_path.of(Period)
+def _follows_path(bounds: Period) -> bool:
+    return False
+
+
+@off_target.of(Period)
+def _off_target(
+    bounds: Period, servo: Servo, sums: Sums, wanted_xx: float, wanted_yy: float
+) -> float:
+    mean_xx, mean_yy = mean_stresses(sums, bounds.box)
+    return max(abs(mean_xx - wanted_xx) / wanted_xx, abs(mean_yy - wanted_yy) / wanted_yy)
+
+
+@swings_for_ever.of(Period)
+def _swings_for_ever(
+    bounds: Period, servo: Servo, swings: Array, sums: Sums, wanted_xx: float, wanted_yy: float
+) -> bool:
+    return False
+
+
+@stretch_bounds.of(Period)
+def _stretch_bounds(
+    bounds: Period,
+    servo: Servo,
+    sums: Sums,
+    kn: float,
+    wanted_xx: float,
+    wanted_yy: float,
+    stretch_x: float,
+    stretch_y: float,
+) -> None:
+    box = bounds.box
+    box[0] *= 1.0 + stretch_x
+    box[1] *= 1.0 + stretch_x
+    box[2] *= 1.0 + stretch_y
+    box[3] *= 1.0 + stretch_y
 
 
 @dataclass
@@ -189,9 +176,10 @@ class Cell(Assembly):
     def _advance(
         self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
     ) -> tuple[int, int, Run, Sums]:
-        ended: tuple[int, int, Run, Sums] = advance_cell(
-            self._all, self.grains, self.images, self.pairs, no_bonds(), no_joints(), self.law,
-            self.box, NO_WALLS, servo, stop, self.run, self.dt, damping, slack, reach, steps,
+        period = Period(self.box, self.grains, self.images, NO_WALLS)
+        ended: tuple[int, int, Run, Sums] = advance(
+            self._all, self.pairs, no_bonds(), no_joints(), self.law, period, servo, stop,
+            self.run, self.dt, damping, slack, reach, steps, self._swings, None,
         )  # fmt: skip
         return ended
 
