@@ -21,7 +21,6 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from pickle import UnpicklingError
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -160,7 +159,7 @@ class _Implementation(caching.CompileResultCacheImpl):
 
 
 # What was compiled for types that are gone or have moved, or was cut short, is no use any more.
-UNREADABLE = (AttributeError, ImportError, EOFError, UnpicklingError)
+UNREADABLE = (AttributeError, ImportError, EOFError)
 
 
 class _Files(caching.IndexDataCacheFile):
