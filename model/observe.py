@@ -8,6 +8,7 @@ from demflow.model.controls import Controls
 from demflow.model.history import History, Volumes, superposed, superposed_error
 from demflow.model.products import (
     Apertures,
+    FractureNetwork,
     Network,
     Packing,
     Permeability,
@@ -20,6 +21,10 @@ from demflow.model.scene import MEASURED_BY_A_TEST
 from demflow.model.transient import bourdet_derivative, flow_periods, pressure_change
 
 IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
+NETWORK = (
+    *("nodes_i", "nodes_y", "nodes_x", "nodes_rim", "traces", "branches", "clusters"),
+    *("p20", "p21", "p22", "backbone"),
+)
 CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
 
 
@@ -32,6 +37,7 @@ def observe(
     permeability: Permeability | None,
     responses: Responses | None,
     reference: Responses | None,
+    traces: FractureNetwork | None,
     *,
     region: Region,
     controls: Controls,
@@ -73,8 +79,12 @@ def observe(
         found["idle_joints"] = stress.idle_joints
     if permeability is not None:
         found["permeability"] = permeability.tensor
+    if traces is not None:
+        found |= _described(traces)
     if responses is not None:
         found |= observe_flow(superposed(responses, controls), controls)
+        if traces is not None:
+            found["fracture_flow_share"] = _share(traces, found, controls)
         for name, needs in (
             ("well_pressure", ("well_pressure", "well_rate")),
             ("well_pressure", ("pressure_change", "pressure_derivative")),
@@ -88,6 +98,33 @@ def observe(
         flows = "boundary_flow" in wanted
         found |= superposed_error(responses, reference, controls, flows=flows)
     return {name: np.asarray(value) for name, value in found.items()}
+
+
+def _described(traces: FractureNetwork) -> dict[str, np.ndarray]:
+    """What the network of the fractures is, under the names of the dataset."""
+    places = {"well_joined": traces.well_joined, "boundary_joined": traces.side_joined}
+    return {
+        **{f"network_{name}": getattr(traces, name) for name in NETWORK},
+        **{name: joined for name, joined in places.items() if len(joined)},
+        "connections_per_line": traces.connections,
+        "joined_pairs": traces.joined_pairs,
+        "fracture_flow_share": np.asarray(np.nan),  # until pressures are known
+        "oda_permeability": traces.oda,
+        "snow_permeability": traces.snow,
+    }
+
+
+def _share(traces: FractureNetwork, found: dict[str, np.ndarray], controls: Controls) -> np.ndarray:
+    """Part of what flows in that fractures would carry alone, at the last time."""
+
+    def last(name: str) -> np.ndarray:
+        return found[name][:, -1] if controls.transient else found[name]
+
+    pressure = np.concatenate([controls.side_pressures, last("well_pressure")])
+    alone = np.maximum(traces.conductance @ pressure, 0.0).sum()
+    inflow = np.concatenate([last("boundary_flow"), -last("well_rate")])
+    moved = np.maximum(inflow, 0.0).sum()
+    return np.asarray(alone / moved if moved > 0.0 else np.nan)
 
 
 def _smallest(volume: np.ndarray) -> np.ndarray:

@@ -209,3 +209,26 @@ class Permeability(NamedTuple):
     """Permeability tensor of the region; of the *calibrate* stage, at an aperture of 1 m."""
 
     tensor: Array  # (2, 2) m²
+
+
+class FractureNetwork(NamedTuple):
+    """What the network of the conducting traces is, by its geometry; ports are sides and wells."""
+
+    nodes_i: Array  # () free ends
+    nodes_y: Array  # () ends on another trace
+    nodes_x: Array  # () crossings
+    nodes_rim: Array  # () ends at the rim
+    traces: Array  # ()
+    branches: Array  # () between nodes
+    connections: Array  # () per line
+    clusters: Array  # () traces that hang together
+    p20: Array  # () 1/m²
+    p21: Array  # () 1/m
+    p22: Array  # ()
+    backbone: Array  # () part of the length on a way between two ports
+    joined_pairs: Array  # () pairs of sides and wells that traces alone join
+    well_joined: Array  # (wells,) other ports that each is joined to
+    side_joined: Array  # (sides of fixed pressure,)
+    conductance: Array  # (ports, ports) m³/(s Pa) into each by unit pressure at each, rock sealed
+    oda: Array  # (2, 2) m²
+    snow: Array  # (2, 2) m²

@@ -37,6 +37,9 @@ SUPERPOSED = (
 
 STOPPED = "stopped"  # of a case that has it and no empty word there; the dataset's `message`
 
+_NETWORK = ("fracture_network",)
+
+
 # Variables of the dataset, one value or array per case.
 CASE: dict[str, Quantity] = {
     "well_pressure": Quantity(
@@ -199,6 +202,48 @@ CASE: dict[str, Quantity] = {
     "joint_contacts": Quantity("1", (), "contacts across smooth joints"),
     "idle_joints": Quantity("1", (), "joint traces that no contact crosses"),
     STOPPED: Quantity("", (), "why the case stopped early; what came before is kept", text=True),
+    "network_nodes_i": Quantity("1", (), "free ends of traces inside the region", _NETWORK),
+    "network_nodes_y": Quantity("1", (), "ends of traces on another trace", _NETWORK),
+    "network_nodes_x": Quantity("1", (), "crossings of traces", _NETWORK),
+    "network_nodes_rim": Quantity("1", (), "ends of traces at the rim of the region", _NETWORK),
+    "network_traces": Quantity("1", (), "traces in the region that conduct", _NETWORK),
+    "network_branches": Quantity("1", (), "pieces of traces between nodes", _NETWORK),
+    "network_clusters": Quantity("1", (), "groups of traces that hang together", _NETWORK),
+    "network_p20": Quantity("m-2", (), "traces per area", _NETWORK),
+    "network_p21": Quantity("m-1", (), "length of traces per area", _NETWORK),
+    "network_p22": Quantity("1", (), "length of traces per area times their mean", _NETWORK),
+    "network_backbone": Quantity(
+        "1", (), "part of the traces' length on a way between two sides or wells", _NETWORK
+    ),
+    "connections_per_line": Quantity("1", (), "4 (Y + X) / (I + Y)", _NETWORK),
+    "joined_pairs": Quantity("1", (), "pairs of sides and wells that traces alone join", _NETWORK),
+    "well_joined": Quantity(
+        "1", ("well",), "sides and other wells that traces alone join to the well", _NETWORK
+    ),
+    "boundary_joined": Quantity(
+        "1", ("boundary",), "other sides and wells that traces alone join to it", _NETWORK
+    ),
+    "fracture_flow_share": Quantity(
+        "1",
+        (),
+        "flow that fractures would carry alone over the inflow, at the last time",
+        _NETWORK,
+        gaps=True,
+        comment="at the pressures found, of fractures given by an aperture, the rock sealed; no "
+        "value where no pressures are computed",
+    ),
+    "oda_permeability": Quantity(
+        "m2",
+        ("row", "column"),
+        "Oda's tensor of the fractures by their apertures, without the rock",
+        _NETWORK,
+    ),
+    "snow_permeability": Quantity(
+        "m2",
+        ("row", "column"),
+        "Snow's tensor of the fractures, each extended through the region, without the rock",
+        _NETWORK,
+    ),
 }
 
 # Variables that the sweep adds to each case.

@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from demflow.model.controls import active_sources, controls_of, sites
+from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from demflow.model.products import (
     Apertures,
+    FractureNetwork,
     Network,
     Packing,
     Permeability,
@@ -298,10 +300,28 @@ STAGES: tuple[Stage, ...] = (
         product=Responses,
     ),
     Stage(
+        name="fractures",
+        function="demflow.model.fracture_network:describe",
+        version=1,
+        parents=(),
+        reads={
+            "region": lambda s: s.region,
+            "fractures": lambda s: s.fractures,
+            "viscosity": _viscosity,
+            "wells": lambda s: tuple(WellPlace(w.at, w.effective_radius) for w in s.wells),
+            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+        },
+        wanted=lambda s: s.needs("fractures"),
+        product=FractureNetwork,
+    ),
+    Stage(
         name="observe",
         function="demflow.model.observe:observe",
         version=5,
-        parents=("pack", "stress", "strength", "network", "open", "measure", "flow", "reference"),
+        parents=(
+            *("pack", "stress", "strength", "network", "open"),
+            *("measure", "flow", "reference", "fractures"),
+        ),
         reads={
             "region": lambda s: s.region,
             "controls": controls_of,

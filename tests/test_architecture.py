@@ -30,7 +30,7 @@ MODEL = (
     ("model.flow.linear",),
     ("model.flow.equation",),
     ("model.flow.solvers",),
-    ("model.permeability", "model.controls"),
+    ("model.permeability", "model.fracture_network", "model.controls"),
     ("model.history",),
     ("model.observe", "model.maps"),
     ("model.stages",),

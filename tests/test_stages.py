@@ -151,6 +151,7 @@ READS = {
     | {"boundary", "initial"},
     "reference": {"region", "bulk_modulus", "well.radius", "times", "probes", "observe"}
     | {"boundary", "initial"},
+    "fractures": {"region", "fractures", "joint", "viscosity", "well.radius"},
     "observe": {"region", "well.rate", "well.radius", "times", "boundary", "initial", "observe"},
 }
 

@@ -47,6 +47,7 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "poissons_ratio": ("strength",),
     "peak_strength": ("strength",),
     "crack_count": ("strength",),
+    "fracture_network": ("fractures",),
 }
 MEASURED_BY_A_TEST = tuple(name for name, stages in OBSERVABLES.items() if "strength" in stages)
 

@@ -47,8 +47,9 @@ class Writer:
                 self._variable(name, quantity)
         for name, quantity in CASE.items():
             # what was asked for is there, be it NaN in every case
-            timeless = quantity.transient and len(self.labels.times) == 0
-            if set(quantity.needs) & set(self.labels.observed) and not timeless:
+            absent = quantity.transient and len(self.labels.times) == 0
+            absent |= any(self.labels.names.get(d) == {} for d in quantity.dimensions)
+            if set(quantity.needs) & set(self.labels.observed) and not absent:
                 self._variable(name, quantity)
 
     def begin(self, tile: Tile) -> None:

@@ -153,7 +153,7 @@ scene:
 vary:
   density: {parameter: fractures.random.intensity, values: [0.5 1/m, 1 1/m]}
   middle:  {parameter: fractures.random.aperture.median, values: [40 um, 80 um]}
-observe: [permeability]
+observe: [permeability, boundary_flow, fracture_network]
 """
 
 
@@ -238,6 +238,15 @@ def test_faults_of_the_map_are_told_at_its_file(study):
 def test_results_stay_readable_without_the_map(study, tmp_path):
     dataset = sweep.run(study, workers=1, results=tmp_path / "results")
     assert np.all(dataset["status"].values == 0)
+    cross = 1.0  # the first two traces of the map, whatever the set adds
+    assert np.all(dataset["network_nodes_x"].values >= cross)
+    assert np.all(np.diff(dataset["network_traces"].values, axis=0) > 0)
+    share = dataset["fracture_flow_share"].values
+    assert share.shape == (2, 2)
+    assert np.all((share >= 0) & np.isfinite(share))
+    half = dataset["oda_permeability"].values
+    assert dataset["oda_permeability"].dims[-2:] == ("row", "column")
+    assert np.all(half[:, 0, 0, 0] < half[:, 1, 0, 0])  # wider apertures
     shutil.rmtree(study.parent)
     case = sweep.open_case(tmp_path / "results" / "mapped", density=0.5, middle=4e-5)
     assert case.sizes["pipe"] > 0

@@ -10,6 +10,13 @@ import numpy as np
 ROUND_OFF = 1e-12
 
 
+class WellPlace(NamedTuple):
+    """Where a well stands."""
+
+    at: tuple[float, float]  # m
+    radius: float  # m
+
+
 class WellSite(NamedTuple):
     """What the flow stage knows of a well: not its rate."""
 
