@@ -17,7 +17,7 @@ from demflow.model.products import (
     StressState,
 )
 from demflow.model.region import Region, contains
-from demflow.model.scene import MEASURED_BY_A_TEST
+from demflow.model.scene import MEASURED_BY_A_TEST, Well
 from demflow.model.transient import bourdet_derivative, flow_periods, pressure_change
 
 IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
@@ -161,11 +161,28 @@ def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:
     change, derivative = np.full_like(pressure, np.nan), np.full_like(pressure, np.nan)
     for k, well in enumerate(controls.wells):
         if well.pressure is None:
-            starts, sign = flow_periods(well.rate_changes)
+            starts, sign = flow_periods(_felt_changes(controls.wells, k))
             before = history.pressure_at_changes[k, np.searchsorted(history.change_times, starts)]
             change[k] = pressure_change(times, pressure[k], starts, before, sign)
             derivative[k] = bourdet_derivative(times, change[k], starts)
     return {"pressure_change": change, "pressure_derivative": derivative}
+
+
+def _felt_changes(wells: tuple[Well, ...], number: int) -> tuple[tuple[float, float], ...]:
+    """Rate changes by which a well's pressure change is counted, as (s, m³/s).
+
+    Its own; of one that never flows, which observes the others, those of their rates in sum.
+    """
+    own = wells[number].rate_changes
+    if any(rate != 0.0 for _, rate in own):
+        return own
+    others = [well.rate_changes for well in wells if well.pressure is None]
+    times = sorted({time for changes in others for time, _ in changes})
+
+    def rate_at(time: float, changes: tuple[tuple[float, float], ...]) -> float:
+        return next((rate for start, rate in reversed(changes) if start <= time), 0.0)
+
+    return tuple((time, sum(rate_at(time, changes) for changes in others)) for time in times)
 
 
 def _imbalance(volumes: Volumes) -> float:

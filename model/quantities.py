@@ -62,6 +62,7 @@ CASE: dict[str, Quantity] = {
         ("well_pressure",),
         transient=True,
         gaps=True,
+        comment="of a well that never flows, since the last change of the others' rates in sum",
     ),
     "pressure_derivative": Quantity(
         "Pa",

@@ -317,7 +317,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="demflow.model.observe:observe",
-        version=5,
+        version=6,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures"),

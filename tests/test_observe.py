@@ -130,7 +130,11 @@ def test_a_well_that_starts_late_is_silent_before():
 def test_a_shut_well_observes_its_neighbour():
     shut = Well(name="shut", at=(0.4, 0.0), radius=0.08, rate=0.0)
     seen = observed(producer(), shut)
-    assert np.all(np.isnan(seen["pressure_change"][1]))
+    # an interference test: the change since its neighbour began to flow
+    np.testing.assert_array_equal(seen["pressure_change"][1], START - seen["well_pressure"][1])
+    rises = np.diff(seen["pressure_change"][1])
+    assert np.all(rises >= 0)
+    assert np.all(seen["pressure_derivative"][1][1:-1][rises[1:] > 0] > 0)
     assert seen["well_pressure"][1, -1] < START - 1.0
     np.testing.assert_array_equal(seen["well_rate"][1], 0)
 

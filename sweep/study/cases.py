@@ -53,8 +53,8 @@ def coordinates(axis: Axis) -> tuple[Coordinate, ...]:
     """The coordinate of an axis, then those that lie along it beside.
 
     An axis over one number or word is its own coordinate, under the axis's name. Any other (over
-    several parameters, or over points) counts 0, 1, …, and its parameters follow
-    under `axis.labels`, points as `…_x` and `…_y`.
+    several parameters, or over points) has its values in words, `20 MPa, 10 MPa`, and its
+    parameters follow as numbers under `axis.labels`, points as `…_x` and `…_y`.
     """
     if axis.names:
         return (Coordinate(axis.name, np.array(axis.names), "", "variant of the scene"),)
@@ -66,8 +66,10 @@ def coordinates(axis: Axis) -> tuple[Coordinate, ...]:
     simple = not any(isinstance(point[0], tuple) for point in axis.values)
     if len(axis.parameters) == 1 and simple:
         return (beside[0]._replace(name=axis.name),)
-    count = Coordinate(axis.name, np.arange(len(axis.values)), "1", f"point of {axis.name}")
-    return (count, *beside)
+    words = [", ".join(map(describe, point, axis.units)) for point in axis.values]
+    if len(set(words)) < len(words):  # apart in digits that words leave out
+        words = [f"{word} ({k})" for k, word in enumerate(words)]
+    return (Coordinate(axis.name, np.array(words), "", f"point of {axis.name}"), *beside)
 
 
 def _columns(values: list[Any], label: str, unit: str, long_name: str) -> list[Coordinate]:

@@ -418,7 +418,7 @@ def describe(value: Any, unit: str) -> str:
         if len(units) != len(value) or any(isinstance(part, tuple) for part in value):
             units = [unit] * len(value)
         return "[" + ", ".join(map(describe, value, units)) + "]"
-    return str(value) if value is None else format_quantity(value, unit, digits=12)
+    return "none" if value is None else format_quantity(value, unit, digits=12)
 
 
 def example(unit: str) -> str:

@@ -112,11 +112,13 @@ def test_coordinates_of_other_axes(tmp_path):
     )
     place, state, kind, word, pump, seed = (coordinates(axis) for axis in study.axes)
     assert [c.name for c in place] == ["place", "producer_at_x", "producer_at_y"]
-    assert place[0].values.tolist() == [0, 1]
+    assert place[0].values.tolist() == ["[0 m, 0 m]", "[1 m, 2 m]"]
     assert place[2].values.tolist() == [0.0, 2.0]
     assert [c.name for c in state] == ["state", "stress_xx", "stress_yy"]
+    assert state[0].values.tolist() == ["1 MPa, 2 MPa", "3 MPa, 4 MPa"]
     assert state[2].values.tolist() == [2e6, 4e6]
     assert [c.name for c in kind] == ["kind", "joint_aperture", "joint_permeability"]
+    assert kind[0].values[0] == "1 um, none"
     np.testing.assert_array_equal(kind[1].values, [1e-6, np.nan])
     assert (word[0].name, word[0].values.tolist(), word[0].unit) == (
         "word",
