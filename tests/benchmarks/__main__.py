@@ -24,6 +24,7 @@ HELPERS = (
     "__main__",
     "contrasts",
     "grids",
+    "outside_data",
     "page",
     "ran",
     "result",
