@@ -45,6 +45,7 @@ def main(network, answer):
         steady=steady["pore.pressure"],
         transient=np.asarray(transient.soln["pore.pressure"]).T,
         version=openpnm.__version__,
+        **{f"given_{name}": value for name, value in given.items()},
     )
 
 

@@ -72,6 +72,36 @@ def given(made: System) -> dict[str, np.ndarray]:
     }
 
 
+def taken(network: dict[str, np.ndarray]) -> System:
+    """The flow equation of a network as OpenPNM took it."""
+    i, j, g = network["i"], network["j"], network["conductance"]
+    n = len(network["storage"]) - 1
+    rim = j == n  # of each pair the larger number
+    empty = np.empty(0, dtype=np.int64)
+    return System(
+        domain=np.setdiff1d(np.arange(n), network["wells"]),
+        n=n,
+        storage=network["storage"][:n],
+        edge_i=i[~rim],
+        edge_j=j[~rim],
+        edge_g=g[~rim],
+        fixed_node=i[rim],
+        fixed_source=np.zeros(np.count_nonzero(rim), dtype=np.int64),
+        fixed_g=g[rim],
+        short_a=empty,
+        short_b=empty,
+        short_g=np.empty(0),
+        sides=("left",),
+        pressure_wells=(),
+        rate_wells=(0,),
+        well_node=network["wells"],
+        node_of_domain=np.arange(n),
+        source_of_domain=np.full(n, -1),
+        isolated=0,
+        initial=np.empty((0, n)),
+    )
+
+
 def times(made: System) -> np.ndarray:
     """Output times."""
     total = np.bincount(made.edge_i, weights=made.edge_g, minlength=made.n) + made.excess
@@ -83,9 +113,7 @@ def ours(made: System, method: str) -> np.ndarray:
     """Pressure of every unknown by one of our solvers, (times, n) or (1, n)."""
     lag = times(made) if SOLVERS[method].transient else np.array([np.inf])
     problem = Problem(
-        system=made._replace(
-            node_of_domain=np.arange(made.n), source_of_domain=np.full(made.n, -1)
-        ),
+        system=made,
         records=outputs(made, np.empty(0, dtype=np.int64)),
         lag=lag,
         active=np.ones(2, dtype=bool),
@@ -99,13 +127,14 @@ def ours(made: System, method: str) -> np.ndarray:
 
 def main(python: str) -> None:
     """Ask both and keep what they say."""
-    made = system()
+    network = given(system())
+    made = taken(network)
     for data in (OPENPNM, ANAFLOW):
         data.parent.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
-        network = Path(folder) / "network.npz"
-        np.savez(network, **given(made))
-        subprocess.run([python, HERE / "openpnm_solve.py", network, OPENPNM], check=True)
+        file = Path(folder) / "network.npz"
+        np.savez(file, **network)
+        subprocess.run([python, HERE / "openpnm_solve.py", file, OPENPNM], check=True)
     subprocess.run([python, HERE / "anaflow_solve.py", ANAFLOW], check=True)
     with np.load(OPENPNM) as kept:
         off = np.abs(kept["steady"][: made.n] - ours(made, "steady")[0]).max()
