@@ -14,7 +14,7 @@ from demflow.model.region import Region, distance_to_rim
 MEASURED_PORES = 20.0
 MARGIN_PORES = 3.0
 
-# Measured pores lie this many pores from the rim, unless the region is too small for that.
+# Measured pores lie this many pores from the rim, unless the region has none that far.
 RIM_PORES = 1.5
 
 
@@ -36,7 +36,8 @@ def mobility_around(
     measured = distance[near] < end
     place = np.column_stack([network.x, network.y])
     off_rim = distance_to_rim(region, place[near]) > RIM_PORES * spacing
-    if np.any(measured & off_rim):
+    whole = not np.any(measured & off_rim)
+    if not whole:
         measured &= off_rim
 
     rock = (apertures.on_fracture < 0) & (apertures.conductance > 0.0)
@@ -65,8 +66,11 @@ def mobility_around(
     p = solve(factorise(analyse(len(near), i, j), g, excess), rhs)
 
     drop, end_drop = p[i] - p[j], p[ends] + end_place
-    share = 0.5 * (measured[i].astype(float) + measured[j])
+    if whole:  # a region of a few pores is measured up to its rim
+        share, end_share, area = np.ones(len(i)), np.ones(len(ends)), region.area
+    else:
+        share = 0.5 * (measured[i].astype(float) + measured[j])
+        end_share, area = 0.5 * measured[ends], float(network.area[near[measured]].sum())
     mobility = drop.T @ ((share * g)[:, None] * drop)
-    mobility += end_drop.T @ ((0.5 * measured[ends] * end_g)[:, None] * end_drop)
-    area: float = network.area[near[measured]].sum()
+    mobility += end_drop.T @ ((end_share * end_g)[:, None] * end_drop)
     return 0.5 * (mobility + mobility.T) / area

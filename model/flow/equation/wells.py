@@ -386,7 +386,8 @@ def _answer(
     known = np.linalg.solve(loaded, known)
     by_well = np.linalg.inv(between - to_pores @ known[:, w : 2 * w])
     pressure = by_well @ (rhs + to_pores @ known[:, :w])
-    pores = known[:, :w] + known[:, w : 2 * w] @ pressure
+    pores = np.zeros((n + 1, w))  # the last for what is held
+    pores[:n] = known[:, :w] + known[:, w : 2 * w] @ pressure
     flow = []
     for k, g in enumerate(stars_g):
         pore = around.number[k][:, None] >= 0
