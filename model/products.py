@@ -128,7 +128,8 @@ class Network(NamedTuple):
     Faces are polygons of grain centres, counter-clockwise. Corner k of the ragged arrays
     stands for the edge from `corner_grain[k]` to the next corner of the same face;
     `corner_pipe[k]` is the pipe across that edge, −1 where the other side is outside or
-    the same face.
+    the same face. Where a pipe between two domains of the region crosses a slot of it, each
+    half leads to a domain without corners that lies outside and has no other pipe.
     """
 
     x: Array  # (d,) centroid, m
@@ -143,7 +144,7 @@ class Network(NamedTuple):
     pipe_to: Array  # (p,) domain
     pipe_grain_a: Array  # (p,) grains of the contact, a < b
     pipe_grain_b: Array  # (p,)
-    pipe_length: Array  # (p,) m: r_a + r_b
+    pipe_length: Array  # (p,) m: r_a + r_b, of half a pipe its part
     cut: Array  # (b,) pipes that cross the rim: pipe_from or pipe_to is inside, not both
     cut_inside: Array  # (b,) the domain inside
     cut_outside: Array  # (b,) the domain outside

@@ -66,8 +66,8 @@ class Circle:
 class Polygon:
     """A simple polygon; sides are `side[0]`, `side[1]`, … in the order of its vertices.
 
-    `side[k]` runs from vertex k to vertex k + 1. Vertices may be given in either
-    sense; they are kept counter-clockwise. `outer` names every side at once.
+    `side[k]` runs from vertex k to vertex k + 1, whichever way round they are given.
+    `outer` names every side at once.
     """
 
     vertices: tuple[tuple[float, float], ...] = parameter("m", help="corners, in order")
@@ -81,8 +81,6 @@ class Polygon:
             raise SceneError([("vertices", "the polygon has no area")])
         if _edges_cross(corners):
             raise SceneError([("vertices", "the sides of the polygon cross each other")])
-        if _signed_area(corners) < 0:
-            object.__setattr__(self, "vertices", tuple(map(tuple, corners[::-1].tolist())))
 
     @property
     def sides(self) -> tuple[str, ...]:
@@ -92,7 +90,7 @@ class Polygon:
     @property
     def area(self) -> float:
         """Area in m²."""
-        return _signed_area(np.asarray(self.vertices))
+        return abs(_signed_area(np.asarray(self.vertices)))
 
 
 Region = Rectangle | Circle | Polygon
@@ -151,12 +149,13 @@ def exit_point(
         with np.errstate(divide="ignore", invalid="ignore"):
             fraction = np.where(b > 0, -c / (b + root), (root - b) / a)
         return np.clip(np.nan_to_num(fraction, nan=1.0), 0.0, 1.0), np.zeros(len(step), dtype=int)
-    corners = np.asarray(region.vertices)
+    corners = np.asarray(region.vertices, dtype=float)
+    sense = np.sign(_signed_area(corners))
     fraction = np.full(len(step), np.inf)
     side = np.zeros(len(step), dtype=int)
     for k, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
         edge = end - start
-        normal = np.array([edge[1], -edge[0]])  # outward for counter-clockwise corners
+        normal = sense * np.array([edge[1], -edge[0]])  # outward
         approach = step @ normal
         with np.errstate(divide="ignore", invalid="ignore"):
             s = ((start - inside) @ normal) / approach
@@ -188,6 +187,32 @@ def _lots(count: int, each: int) -> Iterator[slice]:
     """Slices of so many things that meet `each` others, so that few pairs are held at once."""
     size = max(1, 1_000_000 // max(each, 1))
     yield from (slice(k, k + size) for k in range(0, count, size))
+
+
+def narrowest(region: Polygon) -> tuple[float, int, int]:
+    """Least distance (m) between two sides that face each other across the region, and the two.
+
+    Infinity where no two sides run against each other (within some 25°) side by side.
+    """
+    corners = np.asarray(region.vertices, dtype=float)
+    edge = np.roll(corners, -1, axis=0) - corners
+    length = np.linalg.norm(edge, axis=1)
+    sense = np.sign(_signed_area(corners))
+    found = (np.inf, 0, 0)
+    for k in range(len(corners)):
+        along = edge[k] / max(length[k], 1e-300)
+        inward = sense * np.array([-along[1], along[0]])
+        start, end = corners - corners[k], corners + edge - corners[k]
+        facing = edge @ along < -0.9 * length
+        # how far the other lies over this one, along it
+        low = np.maximum(np.minimum(start @ along, end @ along), 0.0)
+        high = np.minimum(np.maximum(start @ along, end @ along), length[k])
+        across = 0.5 * (start + end) @ inward
+        for m in np.flatnonzero(facing & (high > low) & (across > 0.0)):
+            middle = corners[k] + 0.5 * (low[m] + high[m]) * along + 0.5 * across[m] * inward
+            if across[m] < found[0] and contains(region, middle[None])[0]:
+                found = (float(across[m]), k, int(m))
+    return found
 
 
 def clip_segment(

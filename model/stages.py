@@ -237,7 +237,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="network",
         function="demflow.model.network.domains:network",
-        version=1,
+        version=2,
         parents=("pack",),
         reads={"region": lambda s: s.region},
         wanted=lambda s: s.porous,

@@ -16,6 +16,7 @@ from demflow.model.region import (
     clip_segment,
     contains,
     exit_point,
+    narrowest,
 )
 from demflow.model.region import distance_to_rim as rim_distance
 
@@ -144,10 +145,31 @@ def test_a_line_that_leaves_and_comes_back_is_two():
     assert np.ravel(parts) == pytest.approx([0.2, 0.4, 0.6, 0.8])
 
 
-def test_polygons_are_kept_counter_clockwise():
-    corners = ((0.0, 0.0), (2.0, 0.0), (2.0, 1.0), (0.0, 1.0))
-    assert Polygon(corners).area == Polygon(corners[::-1]).area == 2.0
-    assert Polygon(corners).sides == ("side[0]", "side[1]", "side[2]", "side[3]")
+@given(reverse=st.booleans(), first=st.integers(0, 5), angle=st.floats(0, 2 * math.pi))
+def test_sides_have_the_order_of_the_vertices_whichever_way_round(reverse, first, angle):
+    """The side that a ray leaves by is that of the two vertices given, k and k + 1."""
+    corners = np.roll(np.array(STAR.vertices), first, axis=0)[:: -1 if reverse else 1]
+    region = Polygon(tuple(map(tuple, corners.tolist())))
+    assert region.area == pytest.approx(STAR.area)
+    start, far = np.array([[0.3, 0.0]]), 3.0 * np.array([[math.cos(angle), math.sin(angle)]])
+    fraction, (side,) = exit_point(region, start, far)
+    place = (start + fraction[:, None] * (far - start))[0]
+    p, q = corners[side], corners[(side + 1) % len(corners)]
+    assert distance_to_segment(p, q, *place) < 1e-9
+    assert region.sides[side] == f"side[{side}]"
+
+
+def test_the_narrowest_part_lies_between_two_sides_that_face_each_other():
+    """A dumb-bell whose bar is 0.2 m wide; a thin slot from outside is not a narrow part."""
+    bell = ((0, 0), (1, 0), (1, 0.4), (2, 0.4), (2, 0), (3, 0), (3, 1), (2, 1), (2, 0.6), (1, 0.6))
+    bell += ((1, 1), (0, 1))
+    for corners in (bell, bell[::-1]):
+        width, one, other = narrowest(Polygon(tuple((float(x), float(y)) for x, y in corners)))
+        assert width == pytest.approx(0.2)
+        assert {corners[one][1], corners[other][1]} == {0.4, 0.6}
+    slotted = ((0, 0), (1, 0), (1, 0.5), (1.01, 0.5), (1.01, 0), (2, 0), (2, 1), (0, 1))
+    width = narrowest(Polygon(tuple((float(x), float(y)) for x, y in slotted)))[0]
+    assert width == pytest.approx(0.5)
 
 
 def test_a_polygon_with_two_sides_on_one_line_is_simple():

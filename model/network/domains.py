@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +19,7 @@ from demflow.model.network.faces import (
 )
 from demflow.model.outcome import ModelError
 from demflow.model.products import Network, Packing
-from demflow.model.region import Circle, Region, contains, exit_point
+from demflow.model.region import Circle, Polygon, Region, contains, exit_point, narrowest
 
 # A domain keeps at least this part of the mean pore volume: overlapping grains can leave
 # none, and the explicit step shrinks with the smallest.
@@ -27,6 +28,9 @@ VOLUME_FLOOR = 1e-6
 # A centroid may lie on the rim itself; its distance to the rim is kept above this part of
 # the distance between the centroids.
 CUT_FLOOR = 0.02
+
+# Pores across the narrowest part of a region.
+NARROWEST = 2.0
 
 
 def network(packing: Packing, *, region: Region) -> Network:
@@ -81,7 +85,33 @@ def network(packing: Packing, *, region: Region) -> Network:
     floor = VOLUME_FLOOR * volume[inside].mean()
     slivers = volume < floor
     volume = np.maximum(volume, floor)
+    sliver_count = np.count_nonzero(slivers & inside)
 
+    corner_pipe = pipe_of_contact[corner_half_edge >> 1]
+    length = radius[a] + radius[b]
+    _check_width(region, float(np.sqrt(area[inside].mean())))
+    parted = _over_slots(region, cx, cy, inside, left, right)
+    if len(parted.pipe):
+        # either end of such a pipe leads to a domain of its own outside, and to nothing else
+        pipe, count = parted.pipe, len(parted.pipe)
+        turned = np.full(len(left), -1)
+        turned[pipe] = len(left) + np.arange(count)
+        second = (corner_half_edge % 2 == 1) & (corner_pipe >= 0)
+        second[second] = turned[corner_pipe[second]] >= 0
+        corner_pipe[second] = turned[corner_pipe[second]]
+        beyond = len(cx) + np.arange(2 * count)
+        a, b = np.append(a, a[pipe]), np.append(b, b[pipe])
+        length = np.append(length, length[pipe] * (1.0 - parted.part))
+        length[pipe] *= parted.part
+        left, right = np.append(left, beyond[count:]), np.append(right, right[pipe])
+        right[pipe] = beyond[:count]
+        cx, cy = np.append(cx, np.tile(parted.x, 2)), np.append(cy, np.tile(parted.y, 2))
+        volume, area = (
+            np.append(volume, np.full(2 * count, floor)),
+            np.append(area, np.zeros(2 * count)),
+        )
+        inside = np.append(inside, np.zeros(2 * count, dtype=bool))
+        corner_start = np.append(corner_start, np.full(2 * count, corner_start[-1]))
     cut, cut_inside, cut_outside = _cut_pipes(inside, left, right)
     side, fraction = _cut_places(region, cx, cy, cut_inside, cut_outside)
     return Network(
@@ -92,12 +122,12 @@ def network(packing: Packing, *, region: Region) -> Network:
         inside=inside,
         corner_start=corner_start,
         corner_grain=corner_grain,
-        corner_pipe=pipe_of_contact[corner_half_edge >> 1],
+        corner_pipe=corner_pipe,
         pipe_from=left,
         pipe_to=right,
         pipe_grain_a=a,
         pipe_grain_b=b,
-        pipe_length=radius[a] + radius[b],
+        pipe_length=length,
         cut=cut,
         cut_inside=cut_inside,
         cut_outside=cut_outside,
@@ -108,9 +138,54 @@ def network(packing: Packing, *, region: Region) -> Network:
         grain_radius=radius,
         porosity=np.asarray(volume[inside].sum() / area[inside].sum()),
         floaters=np.asarray(np.count_nonzero(inside[host[inside_void]])),
-        slivers=np.asarray(np.count_nonzero(slivers & inside)),
+        slivers=np.asarray(sliver_count),
         crossing_edges=np.asarray(dropped),
     )
+
+
+class Parted(NamedTuple):
+    """Pipes between two domains of the region that leave it on their way."""
+
+    pipe: np.ndarray  # (q,)
+    part: np.ndarray  # (q,) of the pipe before the middle of what lies outside
+    x: np.ndarray  # (q,) m: that middle
+    y: np.ndarray  # (q,)
+
+
+def _over_slots(
+    region: Region,
+    x: np.ndarray,
+    y: np.ndarray,
+    inside: np.ndarray,
+    left: np.ndarray,
+    right: np.ndarray,
+) -> Parted:
+    """The pipes that cross a slot or a re-entrant corner of the region."""
+    both = np.flatnonzero(inside[left] & inside[right])
+    if not isinstance(region, Polygon):
+        both = both[:0]
+    start = np.column_stack([x[left[both]], y[left[both]]])
+    end = np.column_stack([x[right[both]], y[right[both]]])
+    leaves = exit_point(region, start, end)[0]
+    out = leaves < 1.0
+    comes_back = 1.0 - exit_point(region, end[out], start[out])[0]
+    middle = 0.5 * (leaves[out] + comes_back)
+    place = start[out] + middle[:, None] * (end[out] - start[out])
+    return Parted(both[out], middle, *place.T)
+
+
+def _check_width(region: Region, spacing: float) -> None:
+    """Raise where a part of the region is narrower than two pores (of a spacing in m)."""
+    if not isinstance(region, Polygon):
+        return
+    width, one, other = narrowest(region)
+    if width < NARROWEST * spacing:
+        names = region.sides
+        raise ModelError(
+            f"the region is {width:.3g} m wide between {names[one]} and {names[other]}, less than "
+            f"{NARROWEST:g} pores of {spacing:.3g} m; raise grains.count "
+            f"{(NARROWEST * spacing / width) ** 2:.1f}-fold, or leave the narrow part out"
+        )
 
 
 def domains_at(network: Network, points: np.ndarray) -> np.ndarray:

@@ -154,6 +154,8 @@ def locate(px, py, first, corner_grain, x, y):
         points[fill[cell[p]]] = p
         fill[cell[p]] += 1
     for f in range(first.size - 1):
+        if first[f] == first[f + 1]:
+            continue
         x0, x1, y0, y1 = np.inf, -np.inf, np.inf, -np.inf
         for k in range(first[f], first[f + 1]):
             gx, gy = x[corner_grain[k]], y[corner_grain[k]]

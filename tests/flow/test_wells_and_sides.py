@@ -8,11 +8,15 @@ import pytest
 from demflow.model.controls import sites
 from demflow.model.flow.equation.wells import WELL_FLOOR
 from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.outcome import ModelError
 from demflow.model.permeability import permeability
 from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import BiWing, Probe, Trace, Well
 from tests.reservoirs import dense_matrices, reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
+
+SQUARE = square_lattice(1.7, 1 / 50, (0.011, 0.004))
+RANDOM = random_graph(1.7, 5000, 3)
 
 every = pytest.mark.parametrize("method", SOLVERS)
 
@@ -150,6 +154,47 @@ def test_outer_is_all_sides_at_once():
     np.testing.assert_allclose(whole["well_pressure"], parts["well_pressure"], rtol=1e-10)
     assert parts["boundary_flow"].sum() == pytest.approx(whole["boundary_flow"][0], rel=1e-10)
     assert np.all(parts["boundary_flow"] > 0)
+
+
+@pytest.mark.parametrize("reverse", [False, True], ids=["one way round", "the other"])
+@pytest.mark.parametrize("packing", [SQUARE, RANDOM])
+def test_a_slot_thinner_than_a_pore_does_not_leak(packing, reverse):
+    """Half of a strip of height H closed by a thin slot adds (4 H/π) ln √2 to its length.
+
+    The flow through a slit in a wall across a strip, by conformal mapping.
+    """
+    slot = ((-0.002, -0.5), (-0.002, 0.0), (0.002, 0.0), (0.002, -0.5))
+    corners = ((-1.5, 0.5), (-1.5, -0.5), *slot, (1.5, -0.5), (1.5, 0.5))
+    # sides in the order of the corners: the left one is 0, or where reversed 6
+    left, right = ("side[6]", "side[0]") if reverse else ("side[0]", "side[6]")
+    rock = reservoir(packing, Polygon(corners[::-1] if reverse else corners))
+    seen = rock.observed((), ((left, 1.0), (right, 0.0)), method="steady")
+    whole = reservoir(packing, Rectangle(3.0, 1.0))
+    plain = whole.observed((), (("left", 1.0), ("right", 0.0)), method="steady")
+    longer = 4 / math.pi * math.log(math.sqrt(2))
+    ratio = seen["boundary_flow"][0] / plain["boundary_flow"][0]
+    assert ratio == pytest.approx(3 / (3 + longer), rel=0.03)
+
+
+def test_a_slot_at_a_pressure_takes_from_both_of_its_sides():
+    """Either half between its own side and its face of the slot, as if it were alone."""
+    slot = ((-0.002, -0.5), (-0.002, 0.36), (0.002, 0.36), (0.002, -0.5))
+    rock = reservoir(SQUARE, Polygon(((-1.5, 0.5), (-1.5, -0.5), *slot, (1.5, -0.5), (1.5, 0.5))))
+    held = (("side[0]", 1.0), ("side[2]", 0.0), ("side[4]", 0.0), ("side[6]", 1.0))
+    flow = rock.observed((), held, method="steady")["boundary_flow"]
+    np.testing.assert_allclose(-flow[[1, 2]], flow[[0, 3]], rtol=0.03)
+    whole = reservoir(SQUARE, Rectangle(3.0, 1.0))
+    plain = whole.observed((), (("left", 1.0), ("right", 0.0)), method="steady")
+    np.testing.assert_allclose(flow[[0, 3]], 2 * plain["boundary_flow"][0], rtol=0.05)
+
+
+def test_a_part_narrower_than_two_pores_is_refused_with_its_sides():
+    bar = ((-0.5, -0.02), (-0.5, -0.5), (-1.5, -0.5), (-1.5, 0.5), (-0.5, 0.5), (-0.5, 0.02))
+    region = Polygon(
+        (*bar, (0.5, 0.02), (0.5, 0.5), (1.5, 0.5), (1.5, -0.5), (0.5, -0.5), (0.5, -0.02))
+    )
+    with pytest.raises(ModelError, match=r"0\.04 m wide between side\[5\] and side\[11\]"):
+        reservoir(RANDOM, region)
 
 
 def test_sealing_a_side_leaves_the_rest_of_the_system_a_graph():
