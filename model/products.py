@@ -2,12 +2,15 @@
 
 Every field is a NumPy array (0-d for a single number or word), so that a product
 can be stored, hashed and passed to a kernel as it is. Shapes use n grains, c contacts,
-d domains (pores), p pipes, b boundary crossings. Indices are int64, −1 means none.
+d domains (pores), p pipes, b boundary crossings. Indices are int64, −1 means none. What holds
+the state of other rooms (`mechanics.specimen.body.Body`) is made of their named tuples.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np
 
@@ -233,3 +236,42 @@ class FractureNetwork(NamedTuple):
     conductance: Array  # (ports, ports) m³/(s Pa) into each by unit pressure at each, rock sealed
     oda: Array  # (2, 2) m²
     snow: Array  # (2, 2) m²
+
+
+def named(product: Any) -> dict[str, Any]:
+    """Return the arrays of a product by their names.
+
+    Those of a named tuple in it stand under its name and theirs, `grains.x`.
+    """
+    if isinstance(product, Mapping):
+        return dict(product)
+    found: dict[str, Any] = {}
+    for name, value in product._asdict().items():
+        if hasattr(value, "_asdict"):
+            found |= {f"{name}.{inner}": array for inner, array in named(value).items()}
+        else:
+            found[name] = value
+    return found
+
+
+def build(kind: Any, arrays: Mapping[str, Array]) -> Any:
+    """Return a product from its arrays, as `named` gives them: a dict or a named tuple.
+
+    Fields that are declared as plain numbers become such.
+    """
+    if issubclass(kind, dict):
+        return dict(arrays)
+    fields: dict[str, Any] = {}
+    for name, own in _fields(kind).items():
+        if hasattr(own, "_fields"):
+            start = f"{name}."
+            inner = {k.removeprefix(start): a for k, a in arrays.items() if k.startswith(start)}
+            fields[name] = build(own, inner)
+        else:
+            fields[name] = own(arrays[name].item()) if own in (int, float) else arrays[name]
+    return kind(**fields)
+
+
+@cache
+def _fields(kind: Any) -> dict[str, Any]:
+    return get_type_hints(kind)

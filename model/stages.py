@@ -78,7 +78,7 @@ class Stage:
     parents: tuple[str, ...]  # stages whose products are the positional arguments (None if not run)
     reads: Mapping[str, Callable[[Scene], Any]]  # keyword argument -> the part of the scene
     wanted: Callable[[Scene], bool]  # whether a scene needs this stage
-    product: type  # the NamedTuple it returns, or dict
+    product: type | str  # the NamedTuple it returns, or where that lies; or dict
     # of a stage that marches, one of its own parents: what each of its runs is to do, and takes
     # as `leg`, beside the product of the run before (None at first)
     legs: Callable[[Scene], tuple[Any, ...]] | None = None
@@ -90,9 +90,13 @@ class Stage:
     @property
     def run(self) -> Callable[..., Any]:
         """The function; asking for it imports what it needs."""
-        module, _, name = self.function.partition(":")
-        function: Callable[..., Any] = getattr(import_module(module), name)
+        function: Callable[..., Any] = _at(self.function)
         return function
+
+    @property
+    def returns(self) -> type:
+        """The type of its product; asking for it may import what defines it."""
+        return _at(self.product) if isinstance(self.product, str) else self.product
 
     def legs_of(self, scene: Scene) -> tuple[Any, ...]:
         """The legs of a march, in order; of any other stage one, which is nothing."""
@@ -102,6 +106,12 @@ class Stage:
         """The keyword arguments of its run for a scene, or of one of them by its number."""
         parts = {name: part(scene) for name, part in self.reads.items()}
         return parts if self.legs is None else {**parts, "leg": self.legs(scene)[leg]}
+
+
+def _at(place: str) -> Any:
+    """What lies at `module:name`."""
+    module, _, name = place.partition(":")
+    return getattr(import_module(module), name)
 
 
 def __getattr__(name: str) -> Any:

@@ -57,8 +57,8 @@ HALLS = ("model", "model.mechanics", "model.flow", "sweep")  # hold rooms and no
 CONTRACT = ("model.parameters", "model.region", "model.scene", "model.outcome", "model.quantities")
 MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.plan": ("model.stages",),
-    "sweep.execution": ("model.stages", "model.memory", "model.compilation"),
-    "sweep.dataset": ("model.maps",),
+    "sweep.execution": ("model.stages", "model.products", "model.memory", "model.compilation"),
+    "sweep.dataset": ("model.maps", "model.products"),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),
 }

@@ -11,12 +11,12 @@ import numpy as np
 import xarray as xr
 
 from demflow.model.maps import case_maps
+from demflow.model.products import build
 from demflow.model.quantities import COORDINATES, MAPS, TESTS
 from demflow.model.scene import Scene
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
-from demflow.sweep.execution.worker import build
 from demflow.sweep.plan.graph import MODEL, make_plan, stage_table
 from demflow.sweep.store.products import DamagedError, MissingError, Store, StoreError
 from demflow.sweep.store.versions import installed
@@ -89,7 +89,7 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
     for run in (plan.runs[last] for last in plan.cases[0] if last >= 0):
         stage = plan.stages[run.stage]
         try:
-            products[stage.name] = build(stage.product, store.get(run.id).arrays)
+            products[stage.name] = build(stage.returns, store.get(run.id).arrays)
         except MissingError:
             failure = store.failure(run.id)
             why = failure["message"] if failure else "it was not run; `demflow run` computes it"

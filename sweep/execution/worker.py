@@ -33,6 +33,7 @@ from demflow.model.compilation import compilation
 from demflow.model.memory import limited
 from demflow.model.outcome import ModelError, OutOfMemory, Status
 from demflow.model.parameters import SceneError
+from demflow.model.products import build, named
 from demflow.model.quantities import STOPPED
 from demflow.sweep.execution.memory import available, peak_memory, resident_memory
 from demflow.sweep.plan.graph import stage_table
@@ -241,7 +242,7 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | No
             parents.append(None)
             continue
         try:
-            parents.append(build(stages[name].product, _load(held, identity)))
+            parents.append(build(stages[name].returns, _load(held, identity)))
         except (MissingError, DamagedError) as error:
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
     begin, cpu = _working_time()
@@ -304,16 +305,6 @@ def _working_time() -> tuple[float, float]:
         time.perf_counter() - compilation.seconds,
         time.process_time() - compilation.cpu_seconds,
     )
-
-
-def named(product: Any) -> Mapping[str, np.ndarray]:
-    """Return the arrays of a product by their names, be it a NamedTuple or a dict."""
-    return product if isinstance(product, Mapping) else product._asdict()
-
-
-def build(product: type, arrays: Mapping[str, np.ndarray]) -> Any:
-    """Return a product of the given type from its arrays."""
-    return dict(arrays) if issubclass(product, dict) else product(**arrays)
 
 
 class _Memory:

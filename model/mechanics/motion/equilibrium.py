@@ -227,10 +227,12 @@ class Assembly(ABC):
     pairs: Pairs = field(init=False)
     run: Run = field(init=False)
     sums: Sums = field(init=False)
+    swings: Array = field(init=False)  # (2, 4) memory of `servo.oscillates`
     steps: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:
         self.run = Run(Fire(self.dt, START_MIXING, 0))
+        self.swings = np.zeros((2, 4))
         self._watched: Servo | None = None
 
     def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
@@ -253,8 +255,9 @@ class Assembly(ABC):
         )
         reach = float(self.grains.radius.max()) + self.skin
         slack = self._slack(reach)
-        if servo is not self._watched:  # one that goes on is watched on
-            self._watched, self._swings = servo, np.zeros((2, 4))
+        if self._watched is not None and servo is not self._watched:
+            self.swings = np.zeros((2, 4))  # one that goes on is watched on
+        self._watched = servo
         left = steps
         while True:
             end, taken, self.run, self.sums = self._advance(
@@ -307,24 +310,26 @@ class Specimen(Assembly):
     bonds: BondState = field(default_factory=no_bonds)
     known: InitVar[Pairs | None] = None
     traces: InitVar[Sequence[Trace]] = ()
+    lines: Joints = field(init=False)  # the joints' traces
     joints: JointState = field(init=False)
     first_box: Array = field(init=False)  # as the specimen was made
     rebuilds: int = field(init=False, default=0)
     ledger: Array | None = field(init=False, default=None)
+    opening: Array | None = field(init=False, default=None)  # what it stood at when it was opened
 
     def __post_init__(self, known: Pairs | None, traces: Sequence[Trace]) -> None:
         super().__post_init__()
         if known is None:
             known = no_pairs(len(self.grains.x))
         self.pairs = find_pairs(self.grains, self.skin, known)
-        self._traces = Joints(traces, self.grains)
-        self.joints = self._traces.join(self.grains, self.pairs, self.law, no_joints())
+        self.lines = Joints(traces, self.grains)
+        self.joints = self.lines.join(self.grains, self.pairs, self.law, no_joints())
         self.first_box = self.box.copy()
 
     @property
     def idle_traces(self) -> int:
         """Joint traces that cross no contact: shorter than a grain, or outside the specimen."""
-        return int(np.count_nonzero(~self._traces.found))
+        return int(np.count_nonzero(~self.lines.found))
 
     def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
         """As every assembly does; a path that is paced starts from rest, by FIRE."""
@@ -338,13 +343,13 @@ class Specimen(Assembly):
         """Count energies from here on; see `energy`."""
         self.ledger = new_ledger()
         self.relax(STANDING, NEVER, damping=0.0, steps=0)
-        self._opening = self.ledger.copy()
+        self.opening = self.ledger.copy()
 
     def energies(self) -> Energies:
         """The balance since the ledger was opened."""
-        if self.ledger is None:
+        if self.ledger is None or self.opening is None:
             raise ValueError("the ledger was not opened")
-        return energies(self.ledger, self._opening)
+        return energies(self.ledger, self.opening)
 
     def _come_to_rest_at_the_start(
         self, servo: Servo, stop: Stop, damping: float, steps: int
@@ -361,9 +366,9 @@ class Specimen(Assembly):
 
     def inherit_joints(self, whole: Specimen, kept: Array) -> None:
         """Have the joints of the specimen of which these grains are the ones `kept` (n,) bool."""
-        self._traces = whole._traces.among(kept)
+        self.lines = whole.lines.among(kept)
         known = among(whole.joints, kept)
-        self.joints = self._traces.join(self.grains, self.pairs, self.law, known)
+        self.joints = self.lines.join(self.grains, self.pairs, self.law, known)
 
     def _advance(
         self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
@@ -371,7 +376,7 @@ class Specimen(Assembly):
         ended: tuple[int, int, Run, Sums] = advance(
             self.grains, self.pairs, self.bonds, self.joints, self.law, Walls(self.box), servo,
             stop,
-            self.run, self.dt, damping, slack, reach, steps, self._swings, self.ledger,
+            self.run, self.dt, damping, slack, reach, steps, self.swings, self.ledger,
         )  # fmt: skip
         return ended
 
@@ -388,5 +393,5 @@ class Specimen(Assembly):
                 f"a bond was stretched by more than {self.skin:g} mean radii and did not break; "
                 "try a bond modulus that is higher against the strengths"
             )
-        self.joints = self._traces.join(self.grains, self.pairs, self.law, self.joints)
+        self.joints = self.lines.join(self.grains, self.pairs, self.law, self.joints)
         self.rebuilds += 1

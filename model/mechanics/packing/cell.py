@@ -179,7 +179,7 @@ class Cell(Assembly):
         period = Period(self.box, self.grains, self.images, NO_WALLS)
         ended: tuple[int, int, Run, Sums] = advance(
             self._all, self.pairs, no_bonds(), no_joints(), self.law, period, servo, stop,
-            self.run, self.dt, damping, slack, reach, steps, self._swings, None,
+            self.run, self.dt, damping, slack, reach, steps, self.swings, None,
         )  # fmt: skip
         return ended
 
