@@ -12,6 +12,7 @@ import xarray as xr
 from demflow.sweep.report.html import escape
 from demflow.sweep.report.promises import promises
 from demflow.sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
+from demflow.sweep.report.size_effect import size_section
 from demflow.sweep.store.durable import write_durably
 from demflow.sweep.study.load import Study
 
@@ -42,6 +43,7 @@ def write_report(
         name=escape(study.name),
         outcome=outcome(dataset),
         promises=promises(dataset, study),
+        size=size_section(dataset, study),
         axes=axes_table(dataset, study),
         numbers=key_numbers(dataset),
         figures=figures(figure_paths),
