@@ -202,6 +202,11 @@ CASE: dict[str, Quantity] = {
     "shear_cracks": Quantity("1", (), "bonds and joint contacts that broke in shear"),
     "joint_contacts": Quantity("1", (), "contacts across smooth joints"),
     "idle_joints": Quantity("1", (), "joint traces that no contact crosses"),
+    "event_time": Quantity("s", ("event",), "time of the event"),
+    "event_x": Quantity("m", ("event",), "x of the bond or joint contact"),
+    "event_y": Quantity("m", ("event",), "y of the bond or joint contact"),
+    "event_mode": Quantity("1", ("event",), "1 broken in tension, 2 in shear"),
+    "event_energy": Quantity("J m-1", ("event",), "energy that the event set free"),
     STOPPED: Quantity("", (), "why the case stopped early; what came before is kept", text=True),
     "network_nodes_i": Quantity("1", (), "free ends of traces inside the region", _NETWORK),
     "network_nodes_y": Quantity("1", (), "ends of traces on another trace", _NETWORK),
@@ -244,6 +249,16 @@ CASE: dict[str, Quantity] = {
         ("row", "column"),
         "Snow's tensor of the fractures, each extended through the region, without the rock",
         _NETWORK,
+    ),
+}
+
+# Dimensions along which each case has a number of values of its own, and that number.
+RAGGED: dict[str, Quantity] = {
+    "event": Quantity(
+        "1",
+        (),
+        "number of events of the case",
+        comment="events stand one case after the other, the last axis of the study fastest",
     ),
 }
 

@@ -73,7 +73,12 @@ DOORS = {  # outer library: the only rooms that may import it
         "sweep.execution.cluster",
         "sweep.execution.worker",
     },
-    "netCDF4": {"sweep.dataset.collect", "sweep.dataset.file", "sweep.dataset.writer"},
+    "netCDF4": {
+        "sweep.dataset.collect",
+        "sweep.dataset.file",
+        "sweep.dataset.ragged",
+        "sweep.dataset.writer",
+    },
     "yaml": {"sweep.study.yaml_source"},
 }
 

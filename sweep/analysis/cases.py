@@ -51,6 +51,20 @@ def done(dataset: xr.Dataset) -> Iterator[Index]:
         yield dict(zip(names, map(int, position), strict=True))
 
 
+def events(dataset: xr.Dataset, index: Index, dimension: str = "event") -> xr.Dataset:
+    """What one case has along a ragged dimension, which holds all cases end to end.
+
+    `index` gives the position of the case on every axis of the whole dataset.
+    """
+    count = dataset[f"{dimension}_count"]
+    each = count.values.ravel()
+    place = [index[axis] for axis in axes(dataset)]
+    case = int(np.ravel_multi_index(place, count.shape)) if place else 0
+    begin = int(each[:case].sum())
+    own = dataset[[name for name in dataset.data_vars if dataset[name].dims == (dimension,)]]
+    return own.isel({dimension: slice(begin, begin + int(each[case]))})
+
+
 def display(unit: str, values: np.ndarray | float) -> tuple[float, str]:
     """A unit for people that suits all the values, and the factor to multiply by.
 

@@ -13,6 +13,7 @@ import numpy as np
 from demflow.model.outcome import Status
 from demflow.model.quantities import CASE, COORDINATES, STOPPED, SWEEP, Quantity
 from demflow.sweep.dataset.labels import CONVENTIONS, FIXED, Labels, Layout, quantity_attributes
+from demflow.sweep.dataset.ragged import Ragged, ragged_dimension
 from demflow.sweep.dataset.tiles import Tile
 from demflow.sweep.dataset.verdict import Verdict
 from demflow.sweep.plan.graph import Plan
@@ -34,6 +35,7 @@ class Writer:
     blocks: dict[str, np.ndarray] = field(default_factory=dict)  # variable -> (cases of tile, …)
 
     def __post_init__(self) -> None:
+        self.ragged = Ragged(self.file, tuple(axis.name for axis in self.study.axes))
         self.places: dict[tuple[str, int], list[tuple[str, np.ndarray]]] = {}
         self.axes = tuple(axis.name for axis in self.study.axes)
         for axis in self.study.axes:
@@ -64,6 +66,9 @@ class Writer:
         for name, array in arrays.items():
             if name == STOPPED:
                 continue  # it is the case's message
+            if ragged_dimension(name) is not None:
+                self.ragged.add(case, name, array)
+                continue
             if CASE[name].text:
                 self._block(name, CASE[name])[case - self.tile.cases.start] = str(array)
                 continue
@@ -95,6 +100,7 @@ class Writer:
             place = (*at, ...) if shape or block.dtype != object else ...
             self.file[name][place] = block.reshape(shape + block.shape[1:])
         self.file["status"][(*at, ...)] = self.status.reshape(shape)
+        self.ragged.flush(self.tile)
 
     def describe(self, plan: Plan, digest: str, origins: Mapping[str, set[str]]) -> None:
         """Write what the dataset is, where it comes from, and what made it."""

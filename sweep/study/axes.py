@@ -37,7 +37,7 @@ RESERVED = frozenset(
     for table in (quantities.CASE, quantities.SWEEP, quantities.COORDINATES)
     for key, quantity in table.items()
     for name in (key, *quantity.dimensions)
-) | {"status", "message", "domain", "pipe", "grain", "contact", "crack"}
+) | {"status", "message", "event_count", "domain", "pipe", "grain", "contact", "crack"}
 # arguments of the methods by which points of a dataset are selected by their names
 SELECTION = frozenset({"indexers", "method", "tolerance", "drop", "missing_dims"})
 

@@ -65,10 +65,11 @@ class Drawn(NamedTuple):
     pressure: Any  # (n,)
     recorded: Any  # (t,) mean at the times so far
     stopped: Any  # why nothing came after them, or an empty word
+    events: Any  # (k,) s, as many in each leg as its rate says
 
 
 def toy_march(packed: Packed, before: Drawn | None, *, leg: Leg, seconds: float) -> Drawn:
-    begin = before or Drawn(np.zeros(()), packed.x, np.empty(0), np.array(""))
+    begin = before or Drawn(np.zeros(()), packed.x, np.empty(0), np.array(""), np.empty(0))
     if str(begin.stopped):
         return begin
     assert float(begin.time) == leg.start
@@ -98,7 +99,12 @@ def toy_march(packed: Packed, before: Drawn | None, *, leg: Leg, seconds: float)
         at([end])[:, 0],
         np.concatenate([begin.recorded, recorded]),
         np.array(stopped),
+        np.concatenate([begin.events, _events(leg, end)]),
     )
+
+
+def _events(leg: Leg, end: float) -> np.ndarray:
+    return np.linspace(leg.start, end, int(leg.rates[0]) % 10 + 2)[1:-1]
 
 
 def _note(what: str, leg: Leg) -> None:
@@ -110,7 +116,10 @@ def _note(what: str, leg: Leg) -> None:
 def toy_observe(packed: Packed, drawn: Drawn, *, times: tuple[float, ...]) -> dict[str, np.ndarray]:
     pressure = np.full((1, len(times)), np.nan)
     pressure[0, : len(drawn.recorded)] = drawn.recorded
-    return {"well_pressure": pressure, "porosity": packed.x.std(), STOPPED: drawn.stopped}
+    found = {"well_pressure": pressure, "porosity": packed.x.std(), STOPPED: drawn.stopped}
+    if len(drawn.events):
+        found |= {"event_time": drawn.events, "event_x": np.sqrt(drawn.events)}
+    return found
 
 
 def toy_result(packed: Packed, steps: list[tuple[float, float]], times: np.ndarray) -> np.ndarray:

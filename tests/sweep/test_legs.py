@@ -6,6 +6,7 @@ import dataclasses
 from collections import Counter
 from pathlib import Path
 
+import netCDF4
 import numpy as np
 import pytest
 
@@ -15,8 +16,12 @@ from demflow.model.quantities import STOPPED, checked
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
 from demflow.model.stages import run_stages, simulate
 from demflow.sweep import engine
+from demflow.sweep.analysis.cases import events
 from demflow.sweep.command.forecast import forecast
+from demflow.sweep.dataset import collect as collecting
 from demflow.sweep.dataset.open import open_results
+from demflow.sweep.dataset.ragged import Ragged
+from demflow.sweep.dataset.tiles import Tile
 from demflow.sweep.plan.graph import make_plan, stage_table
 from demflow.sweep.prepared import prepare
 from tests.sweep import marches, toys
@@ -97,6 +102,51 @@ def test_what_marches_by_legs_is_what_is_superposed(marched):
         steps = [(10.0 * k, rate) for k, rate in enumerate(rates)]
         exact = marches.toy_result(packed, steps, seen.elapsed_time.values)
         np.testing.assert_allclose(seen.well_pressure[case, 0], exact, rtol=1e-12, atol=1e-12)
+
+
+def test_events_stand_case_after_case_with_the_count_of_each(tmp_path, monkeypatch):
+    """Over two axes, whatever is collected at once; what failed or had none counts as none."""
+    steps = {
+        "none": (0.0, 0.0, 0.0),
+        "many": (3.0, 0.0, 4.0),
+        "fails": (1.0, marches.RAISES, 1.0),
+        "stops": (2.0, marches.STOPS, 1.0),
+    }
+    text = write(tmp_path, steps).read_text()
+    seeds = "  seed: {parameter: grains.seed, values: [1, 2]}\n"
+    path = tmp_path / "both.yaml"
+    path.write_text(text.replace("vary:\n", f"vary:\n{seeds}").replace("study: m", "study: two-m"))
+    folder = run(path).folder
+    seen = open_results(folder)
+    assert seen.event_count.dims == ("seed", "schedule")
+    assert seen.event_count.attrs["sample_dimension"] == "event"
+    assert seen.event_count.values.tolist() == [[0, 7, 0, 2 + 7]] * 2
+    assert seen.event_time.dims == seen.event_x.dims == ("event",)
+    assert "event_energy" not in seen
+    ends = {"none": (), "fails": (), "many": (10, 20, 30), "stops": (10, 15)}
+    for case, (name, rates) in enumerate(steps.items()):
+        exact = [
+            np.linspace(10.0 * k, end, int(rates[k]) % 10 + 2)[1:-1]
+            for k, end in enumerate(ends[name])
+        ]
+        for seed in range(2):
+            own = events(seen, {"seed": seed, "schedule": case})
+            np.testing.assert_array_equal(own.event_time, np.concatenate([[], *exact]))
+            np.testing.assert_array_equal(own.event_x, np.sqrt(own.event_time))
+    for together in (1, 2, 3):  # cases that are written at once
+        monkeypatch.setattr(collecting, "TILE_CASES", together)
+        (folder / "dataset.nc").unlink()
+        assert run(path).executed is None
+        assert seen.equals(open_results(folder))
+
+
+def test_quantities_of_the_events_of_a_case_are_as_many(tmp_path):
+    with netCDF4.Dataset(tmp_path / "some.nc", "w") as file:
+        ragged = Ragged(file, ())
+        ragged.add(0, "event_time", np.arange(3.0))
+        ragged.add(0, "event_x", np.arange(2.0))
+        with pytest.raises(ValueError, match="event_x has 2 values in a case of 3"):
+            ragged.flush(Tile(range(1), (), ()))
 
 
 def test_what_is_stored_serves_a_later_end_and_a_further_change(tmp_path):
