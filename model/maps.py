@@ -49,7 +49,10 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         "from_domain": number[start],
         "to_domain": number[end],
         "on_fracture": fracture,
+        **_throats(net, pipe),
         **_mesh(net, domain),
+        **_sources(scene),
+        **_traces(scene, opened),
     }
     if "pressure_map" in scene.observe:
         controls = controls_of(scene)
@@ -72,6 +75,44 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         if state is not None:
             maps |= {name: getattr(state, name) for name in MAPS if name.startswith("crack_")}
     return maps
+
+
+def _throats(net: Network, pipe: np.ndarray) -> dict[str, np.ndarray]:
+    """Where some pipes are narrowest: between the rims of their two grains."""
+    a, b = net.pipe_grain_a[pipe], net.pipe_grain_b[pipe]
+    share = net.grain_radius[a] / (net.grain_radius[a] + net.grain_radius[b])
+    return {
+        f"pipe_{axis}": centre[a] + share * (centre[b] - centre[a])
+        for axis, centre in (("x", net.grain_x), ("y", net.grain_y))
+    }
+
+
+def _sources(scene: Scene) -> dict[str, np.ndarray]:
+    """The wells, where there are some."""
+    if not scene.wells:
+        return {}
+    return {
+        "well": np.array([well.name for well in scene.wells]),
+        "well_x": np.array([well.at[0] for well in scene.wells]),
+        "well_y": np.array([well.at[1] for well in scene.wells]),
+        "well_radius": np.array([well.radius for well in scene.wells]),
+    }
+
+
+def _traces(scene: Scene, opened: Apertures) -> dict[str, np.ndarray]:
+    """The fractures, and the straight pieces that they draw in the region, if there are any."""
+    if not scene.fractures:
+        return {}
+    names = {"fracture": np.array([fracture.name for fracture in scene.fractures])}
+    if not len(opened.trace_start):
+        return names
+    return names | {
+        "trace_from_x": opened.trace_start[:, 0],
+        "trace_from_y": opened.trace_start[:, 1],
+        "trace_to_x": opened.trace_end[:, 0],
+        "trace_to_y": opened.trace_end[:, 1],
+        "trace_fracture": opened.trace_fracture,
+    }
 
 
 def _mesh(net: Network, domain: np.ndarray) -> dict[str, np.ndarray]:

@@ -82,7 +82,9 @@ def observe(
     if traces is not None:
         found |= _described(traces)
     if responses is not None:
-        found |= observe_flow(superposed(responses, controls), controls)
+        history = superposed(responses, controls)
+        found |= observe_flow(history, controls)
+        found |= _lowest(history, controls)
         if traces is not None:
             found["fracture_flow_share"] = _share(traces, found, controls)
         for name, needs in (
@@ -153,6 +155,20 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     found["mass_balance_error"] = np.asarray(_imbalance(history.volumes))
     found |= history.solved._asdict()
     return found | _changes(history, controls) if controls.transient else found
+
+
+def _lowest(history: History, controls: Controls) -> dict[str, np.ndarray]:
+    """The lowest pressure that is recorded or held, and whether no liquid bears it.
+
+    Extremes lie at sources, by the maximum principle.
+    """
+    held = np.array(controls.side_pressures, dtype=float)
+    every = np.concatenate([history.well_pressure.ravel(), history.probe_pressure.ravel(), held])
+    known = every[~np.isnan(every)]  # a probe that nothing reaches has no steady pressure
+    if not known.size:
+        return {}
+    lowest = known.min()
+    return {"lowest_pressure": lowest, "negative_pressure": np.asarray(float(lowest < 0.0))}
 
 
 def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:

@@ -15,6 +15,7 @@ class Status(IntEnum):
     WORKER_DIED = 4
     NOT_RUN = 5
     STOPPED = 6  # early; what came before is kept
+    INACCURATE = 7  # its numbers are there, but beyond the bounds of a good result
 
 
 class ModelError(RuntimeError):

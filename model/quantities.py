@@ -28,6 +28,7 @@ class Quantity(NamedTuple):
     gaps: bool = False  # may be NaN in places where the case is good
     text: bool = False  # words, not numbers
     comment: str = ""  # how it is found, where that is not plain
+    standard_name: str = ""  # of CF
 
 
 SUPERPOSED = (
@@ -90,6 +91,15 @@ CASE: dict[str, Quantity] = {
         ("probe_pressure",),
         gaps=True,
         comment=SUPERPOSED,
+    ),
+    "lowest_pressure": Quantity(
+        "Pa", (), "lowest pressure of wells, probes and sides at the recorded times"
+    ),
+    "negative_pressure": Quantity(
+        "1",
+        (),
+        "1 where the lowest pressure is below zero, else 0",
+        comment="no liquid bears that, if pressures are absolute",
     ),
     "porosity": Quantity("1", (), "pore volume over polygon area of the domains in the region"),
     "matrix_aperture": Quantity("m", (), "unstressed pipe aperture of the matrix, w0"),
@@ -285,10 +295,12 @@ COORDINATES: dict[str, Quantity] = {
     "stage": Quantity("", ("stage",), "stage of a case"),
 }
 
+X_NAME, Y_NAME = "projection_x_coordinate", "projection_y_coordinate"  # of CF: metres, a plane
+
 # Variables of one case's maps.
 MAPS: dict[str, Quantity] = {
-    "x": Quantity("m", ("domain",), "x of the centroid of the domain"),
-    "y": Quantity("m", ("domain",), "y of the centroid of the domain"),
+    "x": Quantity("m", ("domain",), "x of the centroid of the domain", standard_name=X_NAME),
+    "y": Quantity("m", ("domain",), "y of the centroid of the domain", standard_name=Y_NAME),
     "volume": Quantity("m3", ("domain",), "pore volume for unit depth"),
     "pressure": Quantity(
         "Pa",
@@ -302,8 +314,24 @@ MAPS: dict[str, Quantity] = {
     "from_domain": Quantity("1", ("pipe",), "domain at one end of the pipe"),
     "to_domain": Quantity("1", ("pipe",), "domain at the other end, -1 outside"),
     "on_fracture": Quantity("1", ("pipe",), "index of the fracture the pipe runs along, -1 none"),
-    "grain_x": Quantity("m", ("grain",), "x of the grain centre", ("grain_map",)),
-    "grain_y": Quantity("m", ("grain",), "y of the grain centre", ("grain_map",)),
+    "pipe_x": Quantity("m", ("pipe",), "x of the narrowest place", standard_name=X_NAME),
+    "pipe_y": Quantity("m", ("pipe",), "y of the narrowest place", standard_name=Y_NAME),
+    "well": Quantity("", ("well",), "well", text=True),
+    "well_x": Quantity("m", ("well",), "x of the well", standard_name=X_NAME),
+    "well_y": Quantity("m", ("well",), "y of the well", standard_name=Y_NAME),
+    "well_radius": Quantity("m", ("well",), "radius of the well"),
+    "fracture": Quantity("", ("fracture",), "fracture", text=True),
+    "trace_from_x": Quantity("m", ("trace",), "x of the begin of a trace as it was meant"),
+    "trace_from_y": Quantity("m", ("trace",), "y of the begin of a trace as it was meant"),
+    "trace_to_x": Quantity("m", ("trace",), "x of the end of a trace as it was meant"),
+    "trace_to_y": Quantity("m", ("trace",), "y of the end of a trace as it was meant"),
+    "trace_fracture": Quantity("1", ("trace",), "index of the fracture that the trace is of"),
+    "grain_x": Quantity(
+        "m", ("grain",), "x of the grain centre", ("grain_map",), standard_name=X_NAME
+    ),
+    "grain_y": Quantity(
+        "m", ("grain",), "y of the grain centre", ("grain_map",), standard_name=Y_NAME
+    ),
     "radius": Quantity("m", ("grain",), "grain radius", ("grain_map",)),
     "normal_force": Quantity(
         "N m-1", ("contact",), "normal contact force, compression positive", ("grain_map",)

@@ -327,7 +327,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="demflow.model.observe:observe",
-        version=6,
+        version=7,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures"),

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import itertools
 import multiprocessing
-import re
-import shutil
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -18,6 +16,14 @@ import numpy as np
 
 from demflow.model.outcome import Status
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
+from demflow.sweep.dataset.folder import (
+    FIGURES,
+    REPORT_FILE,
+    UNFINISHED_FILE,
+    check_free,
+    keep_source,
+    remove_partial,
+)
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import peak_memory
@@ -30,9 +36,8 @@ from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.kept import keep_study
 from demflow.sweep.store.lock import FolderLock
 from demflow.sweep.store.products import StoreError
-from demflow.sweep.store.written import check_folder, is_whole, ours
-from demflow.sweep.study.expect import BOUNDED, beyond_bounds, ends_as_expected
-from demflow.sweep.study.sections import KEPT
+from demflow.sweep.store.written import is_whole, ours
+from demflow.sweep.study.expect import ends_as_expected
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -40,10 +45,6 @@ if TYPE_CHECKING:
     from demflow.sweep.dataset.verdict import Verdict
     from demflow.sweep.execution.ledger import Executed
 
-REPORT_FILE, FIGURES = "report.html", "figures"
-UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
-MARKS = {f"{DATASET_FILE}.sha256", UNFINISHED_FILE}  # nobody else has files of these names
-OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES, KEPT} | MARKS
 COLLECTOR = 3  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
@@ -55,12 +56,15 @@ class Finished:
     folder: Path
     cases: int
     failed: int  # cases that did not end as the study expects
+    inaccurate: int  # of these, such whose numbers are beyond their bounds
+    missing: int  # cases that were not run
     executed: Executed | None  # None where everything was stored already
     collected: bool  # whether the dataset was written anew
     dataset: Path
     figures: tuple[Path, ...] = ()
     report: Path | None = None
     damaged: list[str] = field(default_factory=list)
+    notes: tuple[str, ...] = ()  # what its numbers say, be the cases good
     drawing: tuple[str, ...] = ()  # what could not be drawn, or stood in the way
     changed: bool = False  # whether the study file is no longer the one that was run
 
@@ -70,7 +74,7 @@ class Finished:
             yield f"damaged, computed again: {message}"
         for message in self.executed.refused if self.executed else ():
             yield f"not used: {message}"
-        yield from self.drawing
+        yield from (*self.notes, *self.drawing)
         if self.changed:
             kept = self.folder / STUDY_FILE
             yield f"the study file has changed meanwhile; the results are those of {kept}"
@@ -124,9 +128,10 @@ def run_study(
     with ExitStack() as held:
         with _nothing_run_yet(prepared):
             held.enter_context(FolderLock(root, f"demflow run {prepared.study.name}"))
+            check_free(prepared.folder, prepared.study)
             prepared.folder.mkdir(exist_ok=True)
-            _check_own(prepared)
             _remove_partial(prepared)
+            keep_source(prepared.folder, prepared.study)
             keep_study(prepared.folder / UNFINISHED_FILE, prepared.study)
             if tell and (message := inherited(prepared.store, prepared.plan)):
                 tell(message)
@@ -146,14 +151,12 @@ def run_study(
         if executed and executed.deaths:
             _remove_partial(prepared)
         (prepared.folder / UNFINISHED_FILE).unlink(missing_ok=True)
-        finished = Finished(
-            folder=prepared.folder,
-            cases=len(verdicts),
-            failed=int(np.count_nonzero(~as_expected(prepared, verdicts))),
+        damaged = [*(executed.damaged if executed else ()), *damaged]
+        finished = replace(
+            _finished(prepared, verdicts),
             executed=executed,
             collected=collected,
-            dataset=prepared.folder / DATASET_FILE,
-            damaged=[*(executed.damaged if executed else ()), *damaged],
+            damaged=damaged,
             changed=_changed(prepared),
         )
         return draw(prepared, finished, again=collected) if figures else finished
@@ -194,9 +197,10 @@ def run(
     for message in finished.messages():
         warnings.warn(message, RunWarning, stacklevel=2)
     if finished.failed:
+        off = f" or inaccurate ({finished.inaccurate})" if finished.inaccurate else ""
         message = (
-            f"{finished.failed} of {finished.cases} cases failed; `status` and `message` in the "
-            "dataset say why, and retry_failed=True tries them again"
+            f"{finished.failed} of {finished.cases} cases failed{off}; `status` and `message` in "
+            "the dataset say why, and retry_failed=True tries what failed again"
         )
         warnings.warn(message, RunWarning, stacklevel=2)
     return open_results(finished.folder)
@@ -211,17 +215,84 @@ def draw_study(
 ) -> Finished:
     """Draw figures and report of a study anew, from the dataset that a run has left.
 
-    Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset.
+    Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset, or
+    one of other cases than the study's.
     """
+    from demflow.sweep.dataset.file import recorded
+
     prepared = prepare(path, results, smoke=smoke, table=table)
-    verdicts = prepared.verdicts()
-    failed = int(np.count_nonzero(~as_expected(prepared, verdicts)))
     dataset = prepared.folder / DATASET_FILE
-    finished = Finished(prepared.folder, len(verdicts), failed, None, False, dataset)
     if not dataset.exists():
         raise ResultsError(f"{dataset} does not exist; `demflow run` writes it")
+    check_is_of(dataset, prepared)
+    finished = _finished(prepared, recorded(dataset))
     with FolderLock(prepared.folder.parent, f"demflow report {prepared.study.name}"):
         return draw(prepared, finished)
+
+
+def collect_study(
+    path: str | Path, results: str | Path = "results", *, smoke: bool = False, table: str = MODEL
+) -> Finished:
+    """Write the dataset of what is finished of a study; nothing is run, missing cases say so.
+
+    Raises StudyError, StoreError, LockedError, OSError.
+    """
+    prepared = prepare(path, results, smoke=smoke, table=table)
+    root = prepared.folder.parent
+    if not prepared.store.root.exists():
+        raise StoreError(f"{root} holds no results; `demflow run` computes them")
+    damaged: list[str] = []
+    with (
+        _nothing_run_yet(prepared),
+        FolderLock(root, f"demflow collect {prepared.study.name}"),
+    ):
+        check_free(prepared.folder, prepared.study)
+        prepared.folder.mkdir(exist_ok=True)
+        _remove_partial(prepared)
+        keep_source(prepared.folder, prepared.study)
+        for _ in range(ROUNDS):
+            verdicts, collected, found = _collect(prepared)
+            damaged += found
+            if not found:
+                break
+    return replace(_finished(prepared, verdicts), collected=collected, damaged=damaged)
+
+
+def _finished(prepared: Project, verdicts: list[Verdict]) -> Finished:
+    """What stands in a folder, whoever ran it."""
+    from demflow.sweep.dataset.file import below_zero
+
+    bad = ~as_expected(prepared, verdicts)
+    off = [v.status is Status.INACCURATE for v in verdicts]
+    bounded = any(promise.lowest_pressure is not None for promise in prepared.study.promised)
+    dataset = prepared.folder / DATASET_FILE
+    return Finished(
+        folder=prepared.folder,
+        cases=len(verdicts),
+        failed=int(np.count_nonzero(bad)),
+        inaccurate=int(np.count_nonzero(bad & off)),
+        missing=sum(v.status is Status.NOT_RUN for v in verdicts),
+        executed=None,
+        collected=False,
+        dataset=dataset,
+        notes=() if bounded else below_zero(dataset),
+    )
+
+
+def check_is_of(path: Path, prepared: Project) -> None:
+    """Raise ResultsError where the dataset at a path is not that of a study's cases.
+
+    Another title, other figures and other expectations make no other dataset.
+    """
+    from demflow.sweep.dataset.file import difference
+
+    study = prepared.study
+    why = difference(path, study, prepared.plan)
+    if why is not None:
+        raise ResultsError(
+            f"{path} is not the dataset of {study.path}: {why}. `demflow run {study.path}` makes "
+            f"it that study's; `demflow report {path.with_name(STUDY_FILE)}` draws what is there"
+        )
 
 
 def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finished:
@@ -247,30 +318,22 @@ def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finish
 def as_expected(prepared: Project, verdicts: list[Verdict]) -> np.ndarray:
     """Which cases ended as the study says that they should, (cases,) bool.
 
-    Without a word about it in the study, every case should be done. Bounds are held against
-    the dataset, where there is one.
+    Without a word about it in the study, every case should be done.
     """
     study = prepared.study
-    places = itertools.product(*map(range, study.shape))
-    promised = [study.expectation(place) for place in places]
-    good = np.array(
-        [ends_as_expected(p, v.status, v.message) for p, v in zip(promised, verdicts, strict=True)]
-    )
-    bounded = [p for p in promised if any(getattr(p, name) is not None for name in BOUNDED)]
-    if bounded and (prepared.folder / DATASET_FILE).exists():
-        from demflow.sweep.dataset.open import open_results
+    promised = map(study.expectation, itertools.product(*map(range, study.shape)))
+    pairs = zip(promised, verdicts, strict=True)
+    return np.array([ends_as_expected(p, v.status, v.message) for p, v in pairs], dtype=bool)
 
-        dataset = open_results(prepared.folder)
-        numbers = {
-            name: dataset[name].values.ravel()
-            for name in BOUNDED
-            if name in dataset and dataset[name].size == len(good)
-        }
-        for case in np.flatnonzero(good):
-            if verdicts[case].status is Status.DONE:
-                found = {name: float(values[case]) for name, values in numbers.items()}
-                good[case] = not beyond_bounds(promised[case], found)
-    return good
+
+def standing(prepared: Project) -> list[Verdict]:
+    """How each case stands, judged by its numbers too where these products were collected."""
+    from demflow.sweep.dataset.file import collected_digest, recorded
+
+    verdicts = prepared.verdicts()
+    path = prepared.folder / DATASET_FILE
+    there = collected_digest(path) == _digest(prepared, verdicts)
+    return recorded(path) if there else verdicts
 
 
 @dataclass(frozen=True)
@@ -333,36 +396,6 @@ def _nothing_run_yet(prepared: Project) -> Iterator[None]:
         raise StoreError(f"{where} cannot be written: {error.strerror or error}") from error
 
 
-def _check_own(prepared: Project) -> None:
-    """Raise StoreError where the folder of a study's results is used for something else."""
-    folder = prepared.folder
-    check_folder(folder / FIGURES)
-    names = {path.name for path in folder.iterdir() if not path.name.startswith(".")}
-    if names & MARKS:
-        return
-    strange = sorted(name for name in names if not _own(name))
-    if STUDY_FILE in names and not _names(folder / STUDY_FILE, prepared.study.name):
-        strange.append(STUDY_FILE)
-    if strange:
-        raise StoreError(
-            f"{folder} holds files that are no results of demflow ({', '.join(strange[:3])}); "
-            "rename the study, or take another --results folder"
-        )
-
-
-def _own(name: str) -> bool:
-    """Whether a file of this name in a study's folder is one that runs make there."""
-    whole = re.fullmatch(r"(.+?)(\.\d+)?\.partial|(.+?)\.damaged|(.+)", name)
-    assert whole is not None
-    return next(part for part in whole.group(1, 3, 4) if part) in OWN
-
-
-def _names(path: Path, study: str) -> bool:
-    """Whether a file is a study of that name, of whatever version."""
-    text = path.read_text(encoding="utf-8", errors="replace")
-    return re.search(rf"^study:\s*[\"']?{re.escape(study)}[\"']?\s*(#|$)", text, re.M) is not None
-
-
 def _changed(prepared: Project) -> bool:
     """Whether the study file, or one that it names, was changed or is gone since it was read."""
     try:
@@ -376,12 +409,7 @@ def _changed(prepared: Project) -> bool:
 def _remove_partial(prepared: Project) -> None:
     """Remove half files that interrupted or killed processes have left. Only under the lock."""
     prepared.store.remove_partial()
-    for left in prepared.folder.glob("*.partial"):
-        if _own(left.name):
-            if left.is_dir() and not left.is_symlink():
-                shutil.rmtree(left, ignore_errors=True)
-            with suppress(OSError):
-                left.unlink()
+    remove_partial(prepared.folder)
 
 
 def _collect(prepared: Project) -> tuple[list[Verdict], bool, list[str]]:
@@ -393,19 +421,26 @@ def _collect(prepared: Project) -> tuple[list[Verdict], bool, list[str]]:
     """
     # netCDF and xarray are imported only where they are needed
     from demflow.sweep.dataset.collect import collect
-    from demflow.sweep.dataset.file import collected_digest
+    from demflow.sweep.dataset.file import collected_digest, recorded
 
     study, plan = prepared.study, prepared.plan
     verdicts = prepared.verdicts()
-    told = hashlib.sha256(f"{COLLECTOR} {study.sha256} {study.smoke} {plan.digest()}".encode())
-    for ended in verdicts:
-        told.update(f"{int(ended.status)} {ended.message}\n".encode())
-    digest = told.hexdigest()
+    digest = _digest(prepared, verdicts)
     path = prepared.folder / DATASET_FILE
     keep_study(prepared.folder / STUDY_FILE, prepared.study)
     if collected_digest(path) == digest:
-        return verdicts, False, []
+        return recorded(path), False, []
     # figures and report belong to one dataset: without a report they are drawn again
     (prepared.folder / REPORT_FILE).unlink(missing_ok=True)
     damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
-    return verdicts, True, damaged
+    return verdicts if damaged else recorded(path), True, damaged
+
+
+def _digest(prepared: Project, verdicts: list[Verdict]) -> str:
+    """What a dataset of these products and verdicts is made from, as a hash."""
+    study = prepared.study
+    made = f"{COLLECTOR} {study.sha256} {study.smoke} {prepared.plan.digest()}"
+    told = hashlib.sha256(made.encode())
+    for ended in verdicts:
+        told.update(f"{int(ended.status)} {ended.message}\n".encode())
+    return told.hexdigest()

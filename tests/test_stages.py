@@ -317,6 +317,9 @@ def test_maps_are_named_and_shaped_as_the_table_says():
         "contact": len(PRODUCTS["stress"].contact_a),
         "crack": len(PRODUCTS["stress"].crack_mode),
         "elapsed_time": 3,
+        "well": len(SCENE.wells),
+        "fracture": len(SCENE.fractures),
+        "trace": len(PRODUCTS["open"].trace_start),
     }
     for name, quantity in MAPS.items():
         assert maps[name].shape == tuple(sizes[d] for d in quantity.dimensions), name

@@ -1,4 +1,4 @@
-"""The command `demflow`: run, check, plan, status, report, verify, clean, schema.
+"""The command `demflow`: run, check, plan, status, collect, report, export, verify, clean, schema.
 
 Data go to stdout, messages and progress to stderr. Exit status: 0 all cases good, 1 some
 case failed or the run could not go on, for want of disk or of workers (the rest is there), 2
@@ -24,6 +24,8 @@ from demflow.sweep.command.commands import (
     WRONG,
     check,
     clean,
+    collect,
+    export,
     plan,
     report,
     run,
@@ -158,7 +160,16 @@ def _parser() -> argparse.ArgumentParser:
     add(check)
     add_workers(add_results(add(plan)))
     add_results(add(status))
+    add_results(add(collect))
     add_results(add(report))
+    exporting = add(export, takes_study=False)
+    exporting.add_argument(
+        "folder", metavar="RESULTS/STUDY", type=Path, help="folder of the study's results"
+    )
+    exporting.add_argument("file", metavar="FILE", type=Path, help="what to write")
+    exporting.add_argument(
+        "at", metavar="AXIS=VALUE", nargs="*", help="which case: a value on every axis"
+    )
     add(verify, takes_study=False).add_argument(
         "folder", metavar="RESULTS_DIR", type=Path, help="folder of all results"
     )

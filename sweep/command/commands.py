@@ -125,14 +125,15 @@ def plan(options: argparse.Namespace) -> int:
 def status(options: argparse.Namespace) -> int:
     """Tell what is done, failed and missing."""
     from demflow.model.outcome import Status
-    from demflow.sweep.engine import as_expected
+    from demflow.sweep.engine import as_expected, standing
 
     prepared = _prepare(options)
-    verdicts = prepared.verdicts()
+    verdicts = standing(prepared)
     count = {s: sum(v.status is s for v in verdicts) for s in Status}
-    missing, done = count[Status.NOT_RUN], count[Status.DONE]
-    stopped = count[Status.STOPPED]
-    failed = len(verdicts) - missing - done - stopped
+    missing, done, off, stopped = (
+        count[s] for s in (Status.NOT_RUN, Status.DONE, Status.INACCURATE, Status.STOPPED)
+    )
+    failed = len(verdicts) - missing - done - off - stopped
     again = prepared.tried_again(verdicts)
     bad = [
         (case, v)
@@ -149,12 +150,13 @@ def status(options: argparse.Namespace) -> int:
             }
             for case, v in bad
         ]
-        counts = {"done": done, "stopped": stopped, "failed": failed, "missing": missing}
+        counts = {"done": done, "inaccurate": off, "stopped": stopped, "failed": failed}
         named = {"study": prepared.study.name, "cases": len(verdicts)}
-        _print_json({**named, **counts, "failures": cases})
+        _print_json({**named, **counts, "missing": missing, "failures": cases})
     else:
-        early = f"{stopped} stopped early, " if stopped else ""
-        show(f"{len(verdicts)} cases: {done} done, {early}{failed} failed, {missing} missing")
+        besides = f"{off} inaccurate, " if off else ""
+        besides += f"{stopped} stopped early, " if stopped else ""
+        show(f"{len(verdicts)} cases: {done} done, {besides}{failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
             show(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:
@@ -174,6 +176,18 @@ def _what_next(again: int, others: int) -> Iterator[str]:
         yield f"`demflow run --retry-failed` tries {'all' if again else 'them'} again"
 
 
+def collect(options: argparse.Namespace) -> int:
+    """Write the dataset of what is finished, without running anything."""
+    from demflow.sweep.engine import collect_study
+
+    finished = collect_study(options.study, options.results, smoke=options.smoke)
+    for message in finished.messages():
+        say(message)
+    say(_summary(finished))
+    _tell_places(finished, options)
+    return SOME_FAILED if finished.failed > finished.missing else GOOD
+
+
 def report(options: argparse.Namespace) -> int:
     """Draw figures and report from the dataset."""
     from demflow.sweep.engine import draw_study
@@ -181,6 +195,21 @@ def report(options: argparse.Namespace) -> int:
     finished = draw_study(options.study, options.results, smoke=options.smoke)
     _tell_places(finished, options)
     return SOME_FAILED if finished.failed else GOOD
+
+
+def export(options: argparse.Namespace) -> int:
+    """Write the maps of one case for other programs: .nc (UGRID), .pvd or .vtu (ParaView)."""
+    from demflow.sweep.dataset.case_file import write_case
+    from demflow.sweep.dataset.open import case_of, values_of
+
+    at = values_of(options.folder, options.at)
+    written = write_case(case_of(options.folder, at), options.file)
+    if options.json:
+        _print_json({"files": [str(path) for path in written]})
+    else:
+        for path in written:
+            show(str(path))
+    return GOOD
 
 
 def verify(options: argparse.Namespace) -> int:
@@ -240,10 +269,15 @@ def _summary(finished: Finished) -> str:
 
     good = finished.cases - finished.failed
     text = f"{good} of {finished.cases} cases good"
-    if finished.failed:
-        text += f", {finished.failed} failed"
+    if failed := finished.failed - finished.inaccurate - finished.missing:
+        text += f", {failed} failed"
+    if finished.inaccurate:
+        text += f", {finished.inaccurate} inaccurate"
+    if finished.missing:
+        text += f", {finished.missing} missing"
     if finished.executed is None:
-        return f"{text}; all were stored, nothing was computed"
+        stored = "" if finished.missing else "all were stored, "
+        return f"{text}; {stored}nothing was computed"
     done = finished.executed
     return f"{text}; {_count(done.computed, 'stage run')} in {duration(done.seconds)}"
 

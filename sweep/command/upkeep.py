@@ -11,7 +11,7 @@ from pathlib import Path
 
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
 from demflow.sweep.dataset.file import dataset_problem
-from demflow.sweep.engine import UNFINISHED_FILE
+from demflow.sweep.dataset.folder import UNFINISHED_FILE
 from demflow.sweep.plan.graph import MODEL
 from demflow.sweep.prepared import planned
 from demflow.sweep.store.lock import FolderLock

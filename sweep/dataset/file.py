@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import math
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import netCDF4
+import numpy as np
 
+from demflow.model.outcome import Status
+from demflow.sweep.dataset.verdict import Verdict
+from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.durable import naming, rename_durably, write_durably
+from demflow.sweep.study.cases import coordinates
+from demflow.sweep.study.load import Study
 
 PROBE_BYTES = 1_000_000  # written to find why the library could not write
 
@@ -131,3 +138,46 @@ def collected_digest(path: Path) -> str | None:
     with suppress(OSError, AttributeError, RuntimeError), netCDF4.Dataset(path) as file:
         return str(file.getncattr("demflow_digest"))
     return None
+
+
+def recorded(path: Path) -> list[Verdict]:
+    """How each case ended by the dataset at `path`, (cases,)."""
+    with netCDF4.Dataset(path) as file:
+        status = np.ma.getdata(file["status"][...]).ravel()
+        messages = np.asarray(file["message"][...], dtype=object).ravel()
+        return [Verdict(Status(int(s)), str(m)) for s, m in zip(status, messages, strict=True)]
+
+
+def below_zero(path: Path) -> tuple[str, ...]:
+    """What to say of pressures below zero in the dataset at `path`: a line, or none."""
+    with suppress(OSError, IndexError, RuntimeError), netCDF4.Dataset(path) as file:
+        lowest = np.ma.filled(file["lowest_pressure"][...], math.nan).ravel()
+        below = lowest < 0.0
+        if below.any():
+            return (
+                f"in {np.count_nonzero(below)} of {len(below)} cases a pressure falls below zero, "
+                f"to {lowest[below].min() / 1e6:,.4g} MPa: no liquid bears that, if pressures are "
+                "absolute (`lowest_pressure` in the dataset says where; `expect: "
+                "{lowest_pressure: 0 Pa}` makes it count)",
+            )
+    return ()
+
+
+def difference(path: Path, study: Study, plan: Plan) -> str | None:
+    """Why the dataset at `path` is not that of the cases of a study, None where it is."""
+    with netCDF4.Dataset(path) as file:
+        known = {name: str(file.getncattr(name)) for name in file.ncattrs()}
+        if known.get("study_smoke") != ("yes" if study.smoke else "no"):
+            return f"it was made {'without' if study.smoke else 'with'} the smoke block"
+        if known.get("study_sha256") == study.sha256:
+            return None
+        names = list(file["status"].dimensions)
+        if names != [axis.name for axis in study.axes]:
+            return f"it varies {', '.join(names) or 'nothing'}"
+        for axis in study.axes:
+            for coordinate in coordinates(axis):
+                if coordinate.name not in file.variables or not np.array_equal(
+                    np.asarray(file[coordinate.name][...]), coordinate.values
+                ):
+                    return f"it has other values of {axis.name}"
+    return None if known.get("plan_sha256") == plan.digest() else "its scene is another"

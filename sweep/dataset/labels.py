@@ -21,7 +21,9 @@ def quantity_attributes(quantity: Quantity) -> dict[str, str | float]:
     """CF attributes of a quantity; what is a name has no unit."""
     unit = {"units": quantity.unit} if quantity.unit else {}
     comment = {"comment": quantity.comment} if quantity.comment else {}
-    return {**unit, "long_name": quantity.long_name, **comment, **dict(quantity.constants)}
+    standard = {"standard_name": quantity.standard_name} if quantity.standard_name else {}
+    named = {**standard, "long_name": quantity.long_name}
+    return {**unit, **named, **comment, **dict(quantity.constants)}
 
 
 class Layout(NamedTuple):

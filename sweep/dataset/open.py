@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import xarray as xr
 
 from demflow.model.maps import case_maps
 from demflow.model.products import build
-from demflow.model.quantities import COORDINATES, MAPS, TESTS
+from demflow.model.quantities import COORDINATES, MAPS, TESTS, X_NAME, Y_NAME
 from demflow.model.scene import Scene
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
@@ -22,6 +22,7 @@ from demflow.sweep.store.products import DamagedError, MissingError, Store, Stor
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import case_at, coordinates
 from demflow.sweep.study.load import Study, StudyError, load_study
+from demflow.sweep.study.units import UnitError, parse_quantity, to_degrees
 
 
 def open_results(folder: str | Path) -> xr.Dataset:
@@ -75,12 +76,10 @@ def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
 
 def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Dataset:
     """Do what `open_case` does, with any table of stages."""
-    if not (folder / STUDY_FILE).is_file():
-        raise ResultsError(f"{folder} holds no results: there is no {STUDY_FILE} in it")
+    study = _study(folder)
     try:
-        study = load_study(folder / STUDY_FILE, smoke=_smoke(folder))
         store = Store.open(folder.resolve().parent / "store", create=False)
-    except (StudyError, StoreError) as error:
+    except StoreError as error:
         raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
     index = _index(study, at)
     scene = case_at(study, index).scene
@@ -98,6 +97,40 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
             why = f"{error}; `demflow run` computes what is damaged again"
             raise ResultsError(f"the case's {stage.name} cannot be read: {why}") from error
     return _dataset(study, scene, case_maps(scene, products), index)
+
+
+def values_of(folder: Path, settings: Sequence[str]) -> dict[str, Any]:
+    """Values on axes from texts as `rate=1e-5` or `angle=65 deg`, as `open_case` takes them.
+
+    Raises ResultsError where a text is none.
+    """
+    study = _study(folder)
+    units = {axis.name: axis.units[0] for axis in study.axes if len(axis.units) == 1}
+    at: dict[str, Any] = {}
+    for setting in settings:
+        name, equals, text = setting.partition("=")
+        if not equals:
+            raise ResultsError(f"{setting!r} is no AXIS=VALUE")
+        at[name] = text
+        unit = units.get(name, "1")
+        with suppress(ValueError):
+            bare = float(text)  # in degrees, as the dataset has it, where it is an angle
+            at[name] = bare
+            continue
+        with suppress(UnitError):
+            value = parse_quantity(text, unit)
+            at[name] = to_degrees(value) if unit == "rad" else value
+    return at
+
+
+def _study(folder: Path) -> Study:
+    """The study whose results lie in a folder. Raises ResultsError."""
+    if not (folder / STUDY_FILE).is_file():
+        raise ResultsError(f"{folder} holds no results: there is no {STUDY_FILE} in it")
+    try:
+        return load_study(folder / STUDY_FILE, smoke=_smoke(folder))
+    except StudyError as error:
+        raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
 
 
 def _smoke(folder: Path) -> bool:
@@ -149,7 +182,7 @@ def _dataset(
     variables: dict[str, Any] = {}
     for name, quantity in {**MAPS, **TESTS}.items():
         if name in maps:
-            array = np.asarray(maps[name])
+            array = _narrow(np.asarray(maps[name]))
             # a steady study has no times
             dimensions = quantity.dimensions[len(quantity.dimensions) - array.ndim :]
             variables[name] = (dimensions, array, quantity_attributes(quantity))
@@ -166,7 +199,7 @@ def _dataset(
     if "elapsed_time" in {d for v in variables.values() for d in v[0]}:
         attributes = quantity_attributes(COORDINATES["elapsed_time"])
         scalars["elapsed_time"] = ("elapsed_time", np.array(scene.times), attributes)
-    scalars |= {name: variables.pop(name) for name in ("x", "y") if name in variables}
+    scalars |= {name: variables.pop(name) for name in _PLACES if name in variables}
     attributes = {
         "Conventions": f"{CONVENTIONS} UGRID-1.0",
         "title": f"{study.title}: one case",
@@ -175,6 +208,17 @@ def _dataset(
         "study_sha256": study.sha256,
     }
     return _without_fill_values(xr.Dataset(variables, scalars, attributes))
+
+
+# what labels domains, pipes, wells and fractures
+_PLACES = ("x", "y", "pipe_x", "pipe_y", "well", "fracture")
+
+
+def _narrow(array: np.ndarray) -> np.ndarray:
+    """Integers of 32 bits, which MDAL, VTK and CDO read; what is larger stays."""
+    if array.dtype.kind != "i" or np.any(np.abs(array) > np.iinfo(np.int32).max):
+        return array
+    return array.astype(np.int32)
 
 
 def _without_fill_values(dataset: xr.Dataset) -> xr.Dataset:
@@ -199,12 +243,20 @@ def _mesh(maps: dict[str, np.ndarray]) -> dict[str, Any]:
         "cf_role": "face_node_connectivity",
         "long_name": "corners of the domains",
         "start_index": 0,
-        "_FillValue": -1,
+        "_FillValue": np.int32(-1),
     }
-    node = {"units": "m", "long_name": "corner of a domain"}
+    node = {"units": "m"}
     return {
         "mesh": ((), np.int32(0), topology),
-        "mesh_node_x": (("mesh_node",), maps["mesh_node_x"], dict(node)),
-        "mesh_node_y": (("mesh_node",), maps["mesh_node_y"], dict(node)),
-        "mesh_face_nodes": (("domain", "mesh_corner"), maps["mesh_face_nodes"], faces),
+        "mesh_node_x": (
+            ("mesh_node",),
+            maps["mesh_node_x"],
+            {**node, "standard_name": X_NAME, "long_name": "x of a corner of domains"},
+        ),
+        "mesh_node_y": (
+            ("mesh_node",),
+            maps["mesh_node_y"],
+            {**node, "standard_name": Y_NAME, "long_name": "y of a corner of domains"},
+        ),
+        "mesh_face_nodes": (("domain", "mesh_corner"), _narrow(maps["mesh_face_nodes"]), faces),
     }

@@ -19,6 +19,7 @@ from demflow.sweep.dataset.verdict import Verdict
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import Coordinate, coordinates
+from demflow.sweep.study.expect import JUDGED, beyond_bounds
 from demflow.sweep.study.load import Study
 
 TEXT = str  # netCDF-4 strings
@@ -79,10 +80,23 @@ class Writer:
     def end_case(self, case: int, ended: Verdict, spent: Mapping[str, np.ndarray]) -> None:
         """Take how a case ended, and the times that it took."""
         k = case - self.tile.cases.start
+        if ended.status is Status.DONE and (beyond := self._beyond(case)):
+            ended = Verdict(Status.INACCURATE, "; ".join(beyond))
         self.status[k], self.message[k] = int(ended.status), ended.message
         for name, seconds in spent.items():
             if name in self.file.variables:
                 self._block(name, SWEEP[name])[k] = seconds
+
+    def _beyond(self, case: int) -> list[str]:
+        """What of the numbers of a case is beyond the bounds of a good result."""
+        expected = self.study.expectation(self._index(case))
+        k = case - self.tile.cases.start
+        met = {name: float(self.blocks[name][k]) for name in JUDGED if name in self.blocks}
+        return beyond_bounds(expected, met)
+
+    def _index(self, case: int) -> tuple[int, ...]:
+        """Where a case lies along each axis."""
+        return tuple(int(k) for k in np.unravel_index(case, self.study.shape)) if self.axes else ()
 
     def _block(self, name: str, quantity: Quantity) -> np.ndarray:
         """Room for a variable in the cases of the tile."""
@@ -119,6 +133,7 @@ class Writer:
             "study_smoke": "yes" if study.smoke else "no",
             "seed": ", ".join(map(str, self.labels.seeds)),
             "demflow_digest": digest,
+            "plan_sha256": plan.digest(),
             "stage_versions": ", ".join(f"{s.name} {s.version}" for s in plan.stages),
             "stage_runs": f"{', '.join(f'{s.name} {n}' for s, n in counted)} "
             f"behind {len(plan.cases)} cases",

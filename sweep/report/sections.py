@@ -78,7 +78,7 @@ def outcome(dataset: xr.Dataset) -> str:
                 )
             )
         more = len(failures) - len(listed)
-        caption = "Cases without a result" + (f" ({more} more are not listed)" if more else "")
+        caption = "Cases without a good result" + (f" ({more} more are not listed)" if more else "")
         head = ("case", "outcome", "why, and what to try")
         if len(listed) > MANY_FAILURES:
             table = grid(head, listed)
@@ -145,7 +145,10 @@ def key_numbers(dataset: xr.Dataset) -> str:
             )
     if "compute_time" in dataset:
         seconds = float(dataset["compute_time"].sum())
-        text += f"<p>Computing took {plain_number(seconds)} s in all.</p>"
+        text += (
+            f"<p>The stage runs behind these cases worked for {plain_number(seconds)} s, each "
+            "counted once. Compiling, starting workers and storing come on top.</p>"
+        )
     return text or "<p>No case has a result yet.</p>"
 
 

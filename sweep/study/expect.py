@@ -33,10 +33,20 @@ class Expectation:
     smallest_pore: float | None = parameter(
         default=None, at_least=0, help="largest smallest_pore: slivers were there"
     )
+    estimated_error: float | None = parameter(
+        default=None, at_least=0, help="largest estimated_error, in place of solver.tolerance"
+    )
+    lowest_pressure: float | None = parameter(
+        "Pa", default=None, help="least lowest_pressure, for instance 0 Pa"
+    )
 
 
 EXPECT = block_of(Expectation)
 BOUNDED = tuple(f.name for f in fields(Expectation) if f.type == "float | None")
+LEAST = ("lowest_pressure",)  # bounded from below
+# a result that is beyond these is not good, where the study says nothing else
+DEFAULTS = {"mass_balance_error": 1e-6, "residual": 1e-2, "range_error": 1e-2}
+JUDGED = (*BOUNDED, "tolerance_met")
 
 
 def ends_as_expected(expected: Expectation, status: Status, message: str) -> bool:
@@ -49,12 +59,23 @@ def ends_as_expected(expected: Expectation, status: Status, message: str) -> boo
 
 
 def beyond_bounds(expected: Expectation, numbers: Mapping[str, float]) -> list[str]:
-    """What of a case that is done exceeds its bound, or is not a number."""
+    """Why a case that is done is not good, in words: numbers that exceed their bounds.
+
+    `numbers` are those of `JUDGED` that the case has. What the study bounds must be there.
+    """
     found = []
     for name in BOUNDED:
-        bound, value = getattr(expected, name), numbers.get(name, math.nan)
-        if bound is not None and not value <= bound:
-            found.append(f"{name} is {value:.2g}, not ≤ {bound:g}")
+        own = getattr(expected, name)
+        bound = DEFAULTS.get(name) if own is None else own
+        value = numbers.get(name, math.nan)
+        if bound is None or (own is None and name not in numbers):
+            continue
+        good, sign = (value >= bound, "≥") if name in LEAST else (value <= bound, "≤")
+        if not good:
+            found.append(f"{name} is {value:.2g}, not {sign} {bound:g}")
+    if expected.estimated_error is None and numbers.get("tolerance_met") == 0.0:
+        error = numbers.get("estimated_error", math.nan)
+        found.append(f"solver.tolerance is not met: estimated_error is {error:.2g}")
     return found
 
 
@@ -64,7 +85,7 @@ def in_words(expected: Expectation) -> str:
         words = f", saying “{expected.message}”" if expected.message else ""
         return expected.status.replace("_", " ") + words
     bounds = [
-        f"{name.replace('_', ' ')} ≤ {getattr(expected, name):g}"
+        f"{name.replace('_', ' ')} {'≥' if name in LEAST else '≤'} {getattr(expected, name):g}"
         for name in BOUNDED
         if getattr(expected, name) is not None
     ]

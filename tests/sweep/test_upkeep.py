@@ -10,8 +10,8 @@ import pytest
 
 from demflow.sweep.command import cli
 from demflow.sweep.command.upkeep import unwanted, verify
+from demflow.sweep.dataset.folder import UNFINISHED_FILE
 from demflow.sweep.dataset.open import open_results
-from demflow.sweep.engine import UNFINISHED_FILE
 from demflow.sweep.store.lock import FolderLock
 from demflow.sweep.store.products import Store, StoreError
 from demflow.sweep.study.load import StudyError

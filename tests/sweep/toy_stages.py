@@ -148,6 +148,14 @@ def _loaded(scene: Scene) -> bool:
     return scene.stress is not None
 
 
+def observe_poorly(
+    packed: Packed, loaded: Loaded | None, flowed: Flowed, *, rate: float
+) -> dict[str, np.ndarray]:
+    """What `observe` finds, with a balance that is as bad as the rate is large."""
+    poor = {"mass_balance_error": rate, "lowest_pressure": -rate, "tolerance_met": np.nan}
+    return observe(packed, loaded, flowed) | {name: np.asarray(v) for name, v in poor.items()}
+
+
 STAGES = (
     Stage(
         "pack",
@@ -189,6 +197,20 @@ STAGES = (
         _always,
         dict,
         check=checked,
+        observed=True,
+    ),
+)
+
+POOR = (
+    *STAGES[:-1],
+    Stage(
+        "observe",
+        f"{__name__}:observe_poorly",
+        1,
+        ("pack", "stress", "flow"),
+        {"rate": lambda s: s.wells[0].rate},
+        _always,
+        dict,
         observed=True,
     ),
 )

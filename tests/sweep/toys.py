@@ -71,17 +71,19 @@ def prepared(path: Path, results: Path) -> preparing.Project:
 def demflow(*arguments: str, table: str = TABLE) -> int:
     """The command line, on the toy stages and without figures."""
     engine.run_study = functools.partial(_run_study, table=table, figures=False)
+    engine.collect_study = functools.partial(_collect_study, table=table)
     preparing.prepare = functools.partial(_prepare, table=table)
     upkeep.unwanted = functools.partial(_unwanted, table=table)
     try:
         return cli.main(arguments)
     finally:
         engine.run_study, preparing.prepare = _run_study, _prepare
+        engine.collect_study = _collect_study
         upkeep.unwanted = _unwanted
 
 
 _run_study, _prepare = engine.run_study, preparing.prepare
-_unwanted = upkeep.unwanted
+_unwanted, _collect_study = upkeep.unwanted, engine.collect_study
 
 if __name__ == "__main__":
     sys.exit(demflow(*sys.argv[1:]))
