@@ -45,7 +45,7 @@ EXPECT = block_of(Expectation)
 BOUNDED = tuple(f.name for f in fields(Expectation) if f.type == "float | None")
 LEAST = ("lowest_pressure",)  # bounded from below
 # a result that is beyond these is not good, where the study says nothing else
-DEFAULTS = {"mass_balance_error": 1e-6, "residual": 1e-2, "range_error": 1e-2}
+DEFAULTS = {"mass_balance_error": 1e-6, "residual": 0.1, "range_error": 0.1}
 JUDGED = (*BOUNDED, "tolerance_met")
 
 

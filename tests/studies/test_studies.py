@@ -18,6 +18,10 @@ from demflow.sweep.report import write_report
 STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
 
 
+# a few hundred grains yield less than the whole study's, and the run says so
+pytestmark = pytest.mark.filterwarnings("ignore:in .* cases a pressure falls below zero")
+
+
 @pytest.fixture(scope="module", params=STUDIES, ids=lambda path: path.stem)
 def ran(request, tmp_path_factory):
     """A study, its dataset and the folder of its results, from one small run."""
