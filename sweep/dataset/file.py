@@ -135,8 +135,13 @@ def collected_digest(path: Path) -> str | None:
     """Return what the dataset at `path` was made from, None where there is no whole dataset."""
     if not path.exists() or dataset_problem(path):
         return None
+    return attribute(path, "demflow_digest")
+
+
+def attribute(path: Path, name: str) -> str | None:
+    """An attribute of the dataset at `path`, None where it has none or is none."""
     with suppress(OSError, AttributeError, RuntimeError), netCDF4.Dataset(path) as file:
-        return str(file.getncattr("demflow_digest"))
+        return str(file.getncattr(name))
     return None
 
 

@@ -47,7 +47,7 @@ def check_free(folder: Path, study: Study) -> None:
             f"{folder} holds the results of {other}, another study of the name '{study.name}'; "
             f"rename one of them, take another --results folder, or remove {folder}"
         )
-    if study.smoke and _holds_whole_study(folder):
+    if study.smoke and _is_whole(folder / DATASET_FILE):
         raise StoreError(
             f"{folder} holds the dataset of the whole study, which a run with the smoke block "
             "would replace; give that run a --results folder of its own"
@@ -65,18 +65,12 @@ def _other_source(folder: Path, study: Study) -> Path | None:
     return None
 
 
-def _holds_whole_study(folder: Path) -> bool:
-    """Whether the dataset that is there was made without the smoke block."""
-    import netCDF4
+def _is_whole(path: Path) -> bool:
+    """Whether a dataset is there that was made without the smoke block."""
+    # netCDF is imported only where it is needed
+    from demflow.sweep.dataset.file import attribute
 
-    if not (folder / DATASET_FILE).exists():
-        return False
-    with (
-        suppress(OSError, AttributeError, RuntimeError),
-        netCDF4.Dataset(folder / DATASET_FILE) as file,
-    ):
-        return str(file.getncattr("study_smoke")) == "no"
-    return False
+    return path.exists() and attribute(path, "study_smoke") == "no"
 
 
 def keep_source(folder: Path, study: Study) -> None:
