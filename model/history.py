@@ -59,6 +59,7 @@ class History(NamedTuple):
     pressure_at_changes: Array  # (w, c) Pa: the wells' just before each of these
     volumes: Volumes
     solved: Solved
+    probe_place: Array = np.empty((0, 2))  # (p, 2) m: where those pressures are, if known
 
 
 def superposed(responses: Responses, controls: Controls) -> History:
@@ -103,6 +104,7 @@ def superposed(responses: Responses, controls: Controls) -> History:
             if controls.transient
             else _rates(flows, rate[at_rate])
         ),
+        probe_place=responses.probe_place,
         solved=Solved(
             residual=responses.residual,
             range_error=np.asarray(_out_of_range(responses, controls)),

@@ -91,7 +91,7 @@ def observe(
             ("well_pressure", ("well_pressure", "well_rate")),
             ("well_pressure", ("pressure_change", "pressure_derivative")),
             ("boundary_flow", ("boundary_flow",)),
-            ("probe_pressure", ("probe_pressure",)),
+            ("probe_pressure", ("probe_pressure", "probe_place_x", "probe_place_y")),
         ):
             if name not in wanted:
                 for key in needs:
@@ -152,6 +152,8 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     found = {name: getattr(history, name) for name in IN_TIME}
     if not controls.transient:
         found = {name: array[:, 0] for name, array in found.items()}
+    if len(history.probe_place):
+        found["probe_place_x"], found["probe_place_y"] = history.probe_place.T
     found["mass_balance_error"] = np.asarray(_imbalance(history.volumes))
     found |= history.solved._asdict()
     return found | _changes(history, controls) if controls.transient else found

@@ -199,6 +199,7 @@ class Responses(NamedTuple):
     residual: Array  # () relative residual of the solve
     work: Array  # () steps or solves
     probe_reached: Array  # (probes,) bool: some source reaches the probe's domain
+    probe_place: Array  # (probes, 2) m: the place whose pressure is recorded
     isolated: Array  # () domains that no source reaches; they keep the initial pressure
     # the same of unit initial fields; l = 1 where they stay as they are
     initial_output: Array  # (fields, l, o)

@@ -87,7 +87,7 @@ CASE: dict[str, Quantity] = {
     "probe_pressure": Quantity(
         "Pa",
         ("probe", "elapsed_time"),
-        "pressure of the pore at the probe",
+        "pressure at the probe, linear between the pores around",
         ("probe_pressure",),
         gaps=True,
         comment=SUPERPOSED,
@@ -100,6 +100,12 @@ CASE: dict[str, Quantity] = {
         (),
         "1 where the lowest pressure is below zero, else 0",
         comment="no liquid bears that, if pressures are absolute",
+    ),
+    "probe_place_x": Quantity(
+        "m", ("probe",), "x of the place whose pressure the probe has", ("probe_pressure",)
+    ),
+    "probe_place_y": Quantity(
+        "m", ("probe",), "y of the place whose pressure the probe has", ("probe_pressure",)
     ),
     "porosity": Quantity("1", (), "pore volume over polygon area of the domains in the region"),
     "matrix_aperture": Quantity("m", (), "unstressed pipe aperture of the matrix, w0"),

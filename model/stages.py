@@ -288,7 +288,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=14,
+        version=15,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -297,7 +297,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=9,
+        version=10,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

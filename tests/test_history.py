@@ -27,7 +27,8 @@ WELLS = (
     Well(name="late", at=(-0.5, -0.3), radius=0.1, schedule=((400 * LIMIT, 1e-6),)),
 )
 CHANGES = change_times(sites(WELLS))
-PROBES = (Probe("one", (-0.1, 0.4)),)
+PROBED = int(domains_at(ROCK.network, np.array([(-0.1, 0.4)]))[0])
+PROBES = (Probe("one", (float(ROCK.network.x[PROBED]), float(ROCK.network.y[PROBED]))),)
 TIMES = tuple(np.geomspace(100, 1e4, 25) * LIMIT)
 CONTROLS = Controls(START, START, (SIDE,), WELLS, TIMES, True)
 
@@ -93,7 +94,7 @@ def history_of(system: System, moments: dict[float, Moment], like: History) -> H
     stored = np.array([storage @ row.pressure[: system.pores] for row in rows])
     moved = np.abs(volumes).sum(axis=1) + np.abs(stored) + [row.moved for row in rows]
     produced = np.array([row.produced.sum() for row in rows])
-    node = system.node_of_domain[domains_at(ROCK.network, np.array([PROBES[0].at]))[0]]
+    node = system.node_of_domain[PROBED]
     return History(
         times=np.array(TIMES),
         well_pressure=wells(TIMES),
@@ -104,6 +105,7 @@ def history_of(system: System, moments: dict[float, Moment], like: History) -> H
         pressure_at_changes=wells(CHANGES),
         volumes=Volumes(stored, volumes, produced, moved),
         solved=like.solved,
+        probe_place=like.probe_place,
     )
 
 

@@ -145,7 +145,7 @@ class Well:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """A point at which pressure is recorded: that of the pore in which it lies."""
+    """A point at which pressure is recorded, linear between the pores around it."""
 
     name: str
     at: tuple[float, float] = parameter("m", help="position")

@@ -97,7 +97,7 @@ def test_an_injector_and_a_producer_leave_the_midline_alone():
         Well(name="in", at=(-0.4, 0.0), radius=0.12, rate=-1e-6),
         Well(name="out", at=(0.4, 0.0), radius=0.12, rate=1e-6),
     )
-    middle = tuple(Probe(f"{y}", (1e-3, y)) for y in (-0.3, 0.0, 0.4))
+    middle = tuple(Probe(f"{y}", (0.0, y)) for y in (-0.3, 0.0, 0.4))
     seen = rock.observed(pair, (("outer", 5.0),), method="steady", probes=middle)
     scale = abs(seen["well_pressure"][0] - 5.0)
     np.testing.assert_allclose(seen["probe_pressure"], 5.0, atol=1e-9 * scale)

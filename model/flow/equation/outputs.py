@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array
 
+from demflow.model.flow.equation.probes import Probes, at_pores
 from demflow.model.flow.equation.system import System
 
 
@@ -23,17 +24,19 @@ class Records(NamedTuple):
     flow_rows: int  # the next: fixed pressures
 
 
-def outputs(system: System, probe_domains: np.ndarray) -> Records:
-    """Set up the outputs of a case; `probe_domains` are the domains in which the probes lie."""
-    wells, fixed, probes = len(system.rate_wells), system.fixed_count, len(probe_domains)
+def outputs(system: System, probed: Probes | np.ndarray) -> Records:
+    """Set up the outputs of a case; probes as domains take the pressure of one pore each."""
+    at = probed if isinstance(probed, Probes) else at_pores(probed)
+    wells, fixed, probes = len(system.rate_wells), system.fixed_count, at.points
     rows = [np.arange(wells), wells + system.fixed_source]
     columns = [system.well_node, system.fixed_node]
     values = [np.ones(wells), -system.fixed_g]
-    node = system.node_of_domain[probe_domains]
+    pore = at.domain >= 0
+    node = np.where(pore, system.node_of_domain[at.domain], -1)
     known = node >= 0
-    rows.append(wells + fixed + np.flatnonzero(known))
+    rows.append(wells + fixed + at.probe[known])
     columns.append(node[known])
-    values.append(np.ones(np.count_nonzero(known)))
+    values.append(at.part[known])
     matrix = csr_array(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
         shape=(wells + fixed + probes, system.n),
@@ -44,9 +47,9 @@ def outputs(system: System, probe_domains: np.ndarray) -> Records:
     for one, other in ((system.short_a, system.short_b), (system.short_b, system.short_a)):
         np.add.at(direct, (one, wells + one), system.short_g)
         np.subtract.at(direct, (one, wells + other), system.short_g)
-    source = system.source_of_domain[probe_domains]
-    held = np.flatnonzero(source >= 0)
-    direct[source[held], wells + fixed + held] = 1.0
+    source = np.where(pore, system.source_of_domain[at.domain], at.source)
+    held = source >= 0
+    np.add.at(direct, (source[held], wells + fixed + at.probe[held]), at.part[held])
     return Records(matrix, direct, wells, fixed)
 
 

@@ -213,7 +213,7 @@ def _placed(
 ) -> Wells:
     """The pores of each well, and the field that it would have in uniform rock."""
     spacing = float(np.sqrt(network.area[network.inside].mean()))
-    fixed = _sources_of_sides(region, sides) >= 0
+    fixed = sources_of_sides(region, sides) >= 0
     fields, mean = [], np.zeros(len(wells))
     for k, well in enumerate(wells):
         mobility = mobility_around(network, apertures, region, well.at, well.radius)
@@ -241,7 +241,7 @@ def _connections(
     along = np.where(apertures.on_fracture >= 0, np.arange(len(apertures.on_fracture)), -1)
     pipes = Edges(network.pipe_from[pipe], j, apertures.conductance[pipe], place[j], along[pipe])
 
-    side_source = _sources_of_sides(region, sides)
+    side_source = sources_of_sides(region, sides)
     rim = side_source[network.cut_side]
     k, m, around = _around_sealed_sides(network, apertures, rim < 0)
     sealed = Edges(k, m, around, place[m], np.full(len(k), -1))
@@ -297,7 +297,7 @@ def _around_sealed_sides(
     return inner[k], inner[m], conductance[k] * conductance[m] / total[k]
 
 
-def _sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
+def sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
     """The source that fixes each side of the region, −1 where it is sealed."""
     source = np.full(len(region.sides), -1)
     for order, name in enumerate(sides):

@@ -29,6 +29,10 @@ from demflow.model.products import Apertures, Network
 # A pore may touch the wellbore; what joins the two is at most its pipe over this part.
 WELL_FLOOR = 0.02
 
+# A pore that lies next to the wall counts as this far from it, in the logarithm: the common factor
+# makes up for it, and explicit steps stay long.
+LEAST_RISE = 0.1
+
 # Where flow leaves a pore of a wide well, the pressure is that at this part of the distance
 # between the pores or more (Peaceman 1978).
 EQUIVALENT_RADIUS = 0.2
@@ -272,7 +276,7 @@ def _star(
         flow *= np.log(np.maximum(field.distance(leaves.end) / inner, 1.0 + WELL_FLOOR))
     flow *= _tilt(flow, leaves.end, np.asarray(site.at)) ** strength
     rise = field.at_points(leaves.end) - field.at_wall
-    g = flow / np.maximum(rise, WELL_FLOOR) / unit
+    g = flow / np.maximum(rise, LEAST_RISE) / unit
     out = ~np.isin(leaves.b, pores)
     return Star(leaves.b[out], leaves.end[out], leaves.g[out] / WELL_FLOOR, g[out])
 

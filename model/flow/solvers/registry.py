@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.probes import between_pores
 from demflow.model.flow.equation.problem import Answer, Problem
 from demflow.model.flow.equation.sites import WellSite, change_times, time_since
 from demflow.model.flow.equation.system import assemble
@@ -34,7 +35,6 @@ from demflow.model.flow.solvers.initial import (
 from demflow.model.flow.solvers.krylov import krylov
 from demflow.model.flow.solvers.steady import steady
 from demflow.model.memory import foresee
-from demflow.model.network.domains import domains_at
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network, Responses
 from demflow.model.region import Region
@@ -200,10 +200,11 @@ def flow(
     )
     if initial == "gradient":
         system = with_linear_fields(system, network, wells)
-    probe_domains = domains_at(network, np.array([p.at for p in probes]).reshape(-1, 2))
+    points = np.array([p.at for p in probes]).reshape(-1, 2)
+    probed = between_pores(network, apertures, region, system, points)
     problem = Problem(
         system=system,
-        records=outputs(system, probe_domains),
+        records=outputs(system, probed),
         lag=lags(times, wells),
         active=np.asarray(active, dtype=bool),
         domain=np.flatnonzero(network.inside) if record_map else np.empty(0, dtype=np.int64),
@@ -236,7 +237,8 @@ def flow(
         tolerance_met=np.asarray(float(met)),
         residual=np.asarray(answer.residual),
         work=np.asarray(answer.work),
-        probe_reached=system.reached(probe_domains),
+        probe_reached=system.reached(probed.own),
+        probe_place=probed.place,
         isolated=np.asarray(system.isolated),
         initial_output=start.output,
         initial_cumulative=start.cumulative,
