@@ -6,9 +6,11 @@ part of any case: `model.compile` reports each compilation here.
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 
 class Compilation:
@@ -56,3 +58,16 @@ class Compilation:
 
 
 compilation = Compilation()
+
+
+def kept_kernels() -> int:
+    """Number of kernels that were compiled by this user on this machine and are kept.
+
+    Where `model.kernel_cache` keeps them first; asking takes no Numba.
+    """
+    homes = [
+        os.environ.get("NUMBA_CACHE_DIR", ""),
+        os.environ.get("XDG_CACHE_HOME", "") or str(Path.home() / ".cache"),
+    ]
+    found = (Path(home) / "demflow" for home in homes if home)
+    return sum(1 for folder in found for _ in folder.glob("kernels-*/*.nbi"))

@@ -18,6 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from demflow.model.amounts import (
+    held_by_flow,
+    held_by_observe,
+    kept_by_flow,
+    kept_by_observe,
+)
 from demflow.model.controls import active_sources, controls_of, sites
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
@@ -68,6 +74,10 @@ def grain_count(scene: Scene) -> float:
     return max(1.0, scene.region.area / disc)
 
 
+def _nothing(scene: Scene) -> float:
+    return 0.0
+
+
 @dataclass(frozen=True)
 class Stage:
     """One row of the table of stages."""
@@ -83,6 +93,9 @@ class Stage:
     # as `leg`, beside the product of the run before (None at first)
     legs: Callable[[Scene], tuple[Any, ...]] | None = None
     size: Callable[[Scene], float] = grain_count  # with which its cost grows
+    # numbers of its product, and that it holds at once, which times and rate changes make
+    kept: Callable[[Scene], float] = _nothing
+    held: Callable[[Scene], float] = _nothing
     # why what it returned stops early, "" where it does not; ModelError where it is no result
     check: Callable[[Any], str] | None = None
     observed: bool = False  # whether its product is what a study asks of a case
@@ -293,6 +306,8 @@ STAGES: tuple[Stage, ...] = (
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
         product=Responses,
+        kept=kept_by_flow,
+        held=held_by_flow,
     ),
     Stage(
         name="reference",
@@ -308,6 +323,8 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=lambda s: s.needs("reference") and s.method != "steady",
         product=Responses,
+        kept=kept_by_flow,
+        held=held_by_flow,
     ),
     Stage(
         name="fractures",
@@ -339,6 +356,8 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=_always,
         product=dict,
+        kept=kept_by_observe,
+        held=held_by_observe,
         check=checked,
         observed=True,
     ),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
+import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from demflow.model.scene import Scene
     from demflow.sweep.dataset.verdict import Verdict
 
+SILENCE = 2.0  # s after which planning says how far it is
 MORE = 1.25  # times the memory that was short, from which on a case is tried again
 
 
@@ -97,14 +100,15 @@ def prepare(
     smoke: bool = False,
     table: str = MODEL,
     create: bool = False,
+    tell: Callable[[str], None] | None = None,
 ) -> Project:
-    """Read a study, make its plan and open the store of its results.
+    """Read a study, make its plan and open the store of its results; `tell` hears what takes long.
 
     Nothing is written unless `create` says so. Raises StudyError, StoreError.
     """
     study = load_study(path, smoke=smoke)
     builder = SceneBuilder(study.values, study.axes)
-    plan = planned(study, table)
+    plan = planned(study, table, tell)
 
     @functools.lru_cache(maxsize=512)
     def scene_of(case: int) -> Scene:
@@ -115,14 +119,21 @@ def prepare(
     return Project(study, plan, store, root / study.name, scene_of, table)
 
 
-def planned(study: Study, table: str = MODEL) -> Plan:
+def planned(study: Study, table: str = MODEL, tell: Callable[[str], None] | None = None) -> Plan:
     """Return the plan of all cases of a study."""
     builder = SceneBuilder(study.values, study.axes)
-    return make_plan(_scenes(study, builder), stage_table(table))
+    return make_plan(_scenes(study, builder, tell), stage_table(table))
 
 
-def _scenes(study: Study, builder: SceneBuilder) -> Iterator[Scene | SceneError]:
-    for index in itertools.product(*map(range, study.shape)):
+def _scenes(
+    study: Study, builder: SceneBuilder, tell: Callable[[str], None] | None
+) -> Iterator[Scene | SceneError]:
+    """The scene of each case; where there are many, how far it is, every few seconds."""
+    cases, last = math.prod(study.shape), time.monotonic()
+    for number, index in enumerate(itertools.product(*map(range, study.shape))):
+        if tell is not None and number % 1000 == 0 and time.monotonic() - last > SILENCE:
+            last = time.monotonic()
+            tell(f"planning: {number:,} of {cases:,} cases")
         try:
             yield builder.scene(index)
         except SceneError as error:

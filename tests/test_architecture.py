@@ -31,6 +31,7 @@ MODEL = (
     ("model.flow.equation",),
     ("model.flow.solvers",),
     ("model.permeability", "model.fracture_network", "model.controls"),
+    ("model.amounts",),
     ("model.history",),
     ("model.observe", "model.maps"),
     ("model.stages",),
@@ -59,6 +60,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.plan": ("model.stages",),
     "sweep.execution": ("model.stages", "model.products", "model.memory", "model.compilation"),
     "sweep.dataset": ("model.maps", "model.products"),
+    "sweep.command": ("model.compilation",),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),
 }

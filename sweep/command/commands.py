@@ -87,6 +87,8 @@ def plan(options: argparse.Namespace) -> int:
     from demflow.sweep.execution.progress import duration, size
 
     told = forecast(_prepare(options), options.workers)
+    for warning in told["warnings"]:
+        say(f"warning: {warning}")
     if options.json:
         _print_json(told)
         return GOOD
@@ -117,6 +119,8 @@ def plan(options: argparse.Namespace) -> int:
         show(f"expected {label}: {'?' if more and not least else more + unit(least)}")
     if told["unknown"]:
         show(f"?: never run on this machine: {', '.join(told['unknown'])}")
+    if told["compiling"]:
+        show(f"{duration(told['compiling'])} of the time: compiling, once on this machine")
     time, memory = told["limits"]["time"], told["limits"]["memory"]
     show(f"limits of a case: {duration(time)}, {size(memory)} (the study's limits, or by default)")
     return GOOD
@@ -261,7 +265,7 @@ def schema(options: argparse.Namespace) -> int:
 def _prepare(options: argparse.Namespace) -> Project:
     from demflow.sweep.prepared import prepare
 
-    return prepare(options.study, options.results, smoke=options.smoke)
+    return prepare(options.study, options.results, smoke=options.smoke, tell=say)
 
 
 def _summary(finished: Finished) -> str:

@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from demflow.model.compilation import kept_kernels
 from demflow.sweep.execution.limits import in_force
-from demflow.sweep.execution.memory import peak_memory
+from demflow.sweep.execution.memory import machine_memory, peak_memory
+from demflow.sweep.execution.progress import size
 from demflow.sweep.plan.graph import CostClass, Plan
 from demflow.sweep.prepared import Project
+from demflow.sweep.study.load import Limits
+
+COMPILING = 60.0  # s of processor time to compile the kernels of a study, once on a machine
+FEW_KERNELS = 10  # kept ones, below which a run has still to compile
 
 
 def forecast(prepared: Project, workers: int) -> dict[str, Any]:
@@ -55,12 +63,15 @@ def forecast(prepared: Project, workers: int) -> dict[str, Any]:
         )
     unknown = [stage["name"] for stage in stages if None in (stage["seconds"], stage["bytes"])]
     peaks = [costs.memory(kind) for kind in waiting]
+    largest = max((p or kind.bytes_held for p, kind in zip(peaks, waiting, strict=True)), default=0)
     # the process that leads the run holds the plan, as this one does
     main = max(costs.main, peak_memory())
+    compiling = COMPILING / workers if waiting and _compiles(unknown) else 0.0
     least = {
-        "seconds": (costs.start or 0.0) + _elapsed(made, left, seconds, workers),
-        "bytes": sum(n * (costs.stored(kind) or 0.0) for kind, n in waiting.items()),
-        "memory": main + workers * max(filter(None, peaks), default=0.0),
+        "seconds": (costs.start or 0.0) + compiling + _elapsed(made, left, seconds, workers),
+        "bytes": sum(n * (costs.stored(kind) or kind.bytes_kept) for kind, n in waiting.items())
+        + _dataset(made),
+        "memory": main + workers * largest,
     }
     if not waiting:
         least = dict.fromkeys(least, 0.0)
@@ -74,8 +85,36 @@ def forecast(prepared: Project, workers: int) -> dict[str, Any]:
         **(whole | {"memory": None if None in peaks else whole["memory"]}),
         "unknown": unknown,
         "at_least": least,
+        "compiling": compiling,
         "limits": asdict(limits),
+        "warnings": [*_short_of(least, largest, limits, prepared.store.root)] if waiting else [],
     }
+
+
+def _compiles(unknown: list[str]) -> bool:
+    """Whether kernels are likely to be compiled first: of stages that never ran here."""
+    return bool(unknown) or kept_kernels() < FEW_KERNELS
+
+
+def _dataset(plan: Plan) -> float:
+    """Bytes of the dataset, whose variables are what is observed of every case."""
+    observed = (runs[plan.observed] for runs in plan.cases)
+    return sum(plan.runs[run].kind.bytes_kept for run in observed if run >= 0)
+
+
+def _short_of(least: dict[str, float], worker: float, limits: Limits, store: Path) -> Iterator[str]:
+    """What the machine lacks for a run."""
+    there = next(folder for folder in (store, *store.resolve().parents) if folder.exists())
+    room, memory = shutil.disk_usage(there).free, machine_memory()
+    if least["bytes"] > room:
+        told = f"{size(least['bytes'])} of disk are needed and {size(room)} are free in {there}"
+        yield f"{told}; give --results elsewhere, fewer cases, or record less"
+    if limits.memory is not None and worker > limits.memory:
+        told = f"a case needs {size(worker)} of memory, more than its limit of "
+        yield f"{told}{size(limits.memory)}; fewer workers leave more to each"
+    elif least["memory"] > memory:
+        told = f"{size(least['memory'])} of memory are needed and the machine has {size(memory)}"
+        yield f"{told}; take fewer workers"
 
 
 def _elapsed(

@@ -60,6 +60,8 @@ class CostClass(NamedTuple):
     version: int
     variant: str  # how it is solved, "" where there is one way only
     step: int  # ln(its size) / SIZE_STEP
+    kept: int = 0  # ln(1 + numbers of its product that times and the like make) / SIZE_STEP
+    held: int = 0  # the same of numbers held at once
 
     @classmethod
     def of(cls, stage: Stage, scene: Scene) -> CostClass:
@@ -67,7 +69,18 @@ class CostClass(NamedTuple):
         method = stage.reads.get("method")
         variant = "" if method is None else str(method(scene))
         size = round(math.log(stage.size(scene)) / SIZE_STEP)
-        return cls(stage.name, stage.version, variant, size)
+        kept, held = (round(math.log1p(of(scene)) / SIZE_STEP) for of in (stage.kept, stage.held))
+        return cls(stage.name, stage.version, variant, size, kept, held)
+
+    @property
+    def bytes_kept(self) -> float:
+        """Bytes of its product that times, rate changes and probes make."""
+        return 8.0 * math.expm1(self.kept * SIZE_STEP)
+
+    @property
+    def bytes_held(self) -> float:
+        """Bytes that these make a worker hold at once."""
+        return 8.0 * math.expm1(self.held * SIZE_STEP)
 
     @property
     def key(self) -> str:

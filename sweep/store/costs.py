@@ -25,6 +25,8 @@ from demflow.sweep.store.versions import machine
 GROWTH = 1.0  # exponent of a stage that was seen at one size only: as the size
 DOUBT = 0.05  # weight of that exponent beside the spread of the sizes that were seen
 STEEPEST = 1.5  # exponent of a planar graph's factor; no stage grows faster
+LIBRARIES = 3e7  # bytes of what single stages import; they do not grow
+LEAST_PART = 0.01  # of a product that grows with the size, however much is counted beside it
 OUTLIERS = 3  # runs from which the slowest, which loads the compiled code, does not count
 
 
@@ -37,8 +39,12 @@ class Spent(NamedTuple):
     stored: int = 0  # bytes
     memory: int = 0  # largest resident memory of a worker after such a run, bytes
     bound: int = 0  # the same of workers that had compiled too, whose compiler counts, bytes
+    kept: float = 0.0  # what times and the like made of what is stored, bytes
+    held: float = 0.0  # and of the memory, the most, bytes
 
-    def and_one(self, seconds: float, stored: int, memory: int, compiled: bool) -> Spent:
+    def and_one(
+        self, kind: CostClass, seconds: float, stored: int, memory: int, compiled: bool
+    ) -> Spent:
         """With one more run."""
         return Spent(
             self.runs + 1,
@@ -47,12 +53,19 @@ class Spent(NamedTuple):
             self.stored + stored,
             max(self.memory, 0 if compiled else memory),
             max(self.bound, memory),
+            self.kept + kind.bytes_kept,
+            max(self.held, kind.bytes_held),
         )
 
     @property
     def peak(self) -> int:
         """Memory of a worker, bytes: no more than that where all of them had compiled."""
         return self.memory or self.bound
+
+    @property
+    def rest(self) -> float:
+        """Memory of a worker without what times and the like made it hold, bytes."""
+        return max(self.memory - self.held, min(self.memory, LIBRARIES))
 
     @property
     def typical(self) -> float:
@@ -119,7 +132,9 @@ class Costs:
     ) -> None:
         """Count one more run; whether its worker had compiled kernels before."""
         sizes = self.known.setdefault(kind.key, {})
-        sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(seconds, stored, memory, compiled)
+        sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(
+            kind, seconds, stored, memory, compiled
+        )
 
     def led(self, memory: int) -> None:
         """Note the memory of a process that led a run, bytes."""
@@ -131,9 +146,16 @@ class Costs:
         return scaled(times, self._sizes(kind), kind.step)
 
     def stored(self, kind: CostClass) -> float | None:
-        """Expected bytes of a product, None if its stage was never run."""
-        sizes = {step: spent.stored / spent.runs for step, spent in self._sizes(kind).items()}
-        return scaled(sizes, self._sizes(kind), kind.step)
+        """Expected bytes of a product, None if its stage was never run.
+
+        What times, rate changes and probes make of it is counted; the rest grows with the size.
+        """
+        sizes = {
+            step: max(spent.stored - spent.kept, LEAST_PART * spent.stored) / spent.runs
+            for step, spent in self._sizes(kind).items()
+        }
+        rest = scaled(sizes, self._sizes(kind), kind.step)
+        return None if rest is None else rest + kind.bytes_kept
 
     def memory(self, kind: CostClass) -> float | None:
         """Expected memory of a worker after a run, bytes; None if its stage was never run.
@@ -145,11 +167,15 @@ class Costs:
         sizes = self._sizes(kind)
         peaks = {step: spent.memory for step, spent in sizes.items() if spent.memory}
         if not peaks:
-            return max((spent.bound for spent in sizes.values()), default=0) or None
-        least = min(s.memory for known in self.known.values() for s in known.values() if s.memory)
-        near = _nearest(peaks, kind.step)
+            most = max((spent.bound for spent in sizes.values()), default=0)
+            return most + kind.bytes_held if most else None
+        rests = [s.rest for known in self.known.values() for s in known.values() if s.memory]
+        least, near = min(rests), _nearest(peaks, kind.step)
         growth = math.exp(SIZE_STEP * (kind.step - near))
-        return least + (peaks[near] - least) * growth
+        # of one size alone nobody can tell what grows with it from what the stage imports
+        fixed = 0.0 if len(peaks) > 1 else min(LIBRARIES, sizes[near].rest - least)
+        grown = sizes[near].rest - least - fixed
+        return least + fixed + grown * growth + kind.bytes_held
 
     def _sizes(self, kind: CostClass) -> dict[int, Spent]:
         return self.known.get(kind.key, {})

@@ -8,6 +8,7 @@ text or bytes besides. All follows from a source of chance numbers.
 from __future__ import annotations
 
 import copy
+import functools
 import json
 import random
 import re
@@ -17,12 +18,22 @@ from typing import Any
 
 import yaml
 
-from demflow.sweep.study.blocks import Block, Named, OneOf
+from demflow.sweep.study.blocks import Block, Named
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import UNITS
 from tests.sweep.study_text import EXAMPLE, SMALL
 
+# fractures of every other kind
+RANDOM = SMALL.replace(
+    "  fractures:\n",
+    """  fractures:
+    random: {kind: set, seed: 1, intensity: 0.5 1/m, length: {power_law: 2.2, from: 1 m, to: 9 m},
+             angle: {von_mises: 10, mean: 60 deg}, aperture: {log_normal: 0.5, median: 80 um}}
+    bent: {kind: trace, vertices: [[0 m, 0 m], [1 m, 0.2 m], [2 m, 0 m]], aperture: 100 um}
+    map: {kind: traces, file: none.geojson, origin: centroid, snap: 1 mm, aperture: 100 um}
+""",
+)
 STUDIES = Path(__file__).parents[2] / "studies"
 PLAIN = re.compile(r"[A-Za-z0-9.+][A-Za-z0-9 ./^+-]*")
 
@@ -54,7 +65,8 @@ def studies() -> list[Any]:
     """Trees of good studies: what is shipped, and the examples."""
     texts = [path.read_text() for path in sorted(STUDIES.glob("*.yaml"))]
     # every scalar as text
-    return [yaml.load(text, Loader=yaml.BaseLoader) for text in (*texts, EXAMPLE, SMALL)]
+    loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
+    return [yaml.load(text, Loader=loader) for text in (*texts, EXAMPLE, SMALL, RANDOM)]
 
 
 def damaged(good: list[Any], chance: random.Random) -> bytes:
@@ -210,18 +222,26 @@ def _many(tree: Any, chance: random.Random) -> None:
         inside |= {f"{key}{k}": copy.deepcopy(inside[key]) for k in range(times)}
 
 
-def _paths(section: Section, path: str, names: list[str]) -> Iterator[str]:
+def _paths(section: Section, path: str, names: tuple[str, ...]) -> Iterator[str]:
     """Every path of the grammar, with some names."""
-    if isinstance(section, Parameter):
-        yield path
-    blocks = [section] if isinstance(section, Block) else []
-    blocks += section.blocks.values() if isinstance(section, OneOf) else []
-    for block in blocks:
-        for key, member in block.members.items():
+    if isinstance(section, Block):
+        for key, member in section.members.items():
             yield from _paths(member.section, f"{path}.{key}".lstrip("."), names)
-    if isinstance(section, Named):
+    elif isinstance(section, Named):
         for name in names:
             yield from _paths(section.inner, f"{path}.{name}", names)
+    else:
+        yield path
+        for inner in vars(section).values():  # sections that hold several forms
+            forms = inner.values() if isinstance(inner, dict) else inner
+            for form in forms if isinstance(inner, dict | tuple) else (inner,):
+                if isinstance(form, Section) and not isinstance(form, Parameter):
+                    yield from _paths(form, path, names)
+
+
+@functools.cache
+def _paths_of_scenes(names: tuple[str, ...]) -> list[str]:
+    return [*_paths(SCENE, "", names)]
 
 
 def _any_path(tree: Any, chance: random.Random) -> str:
@@ -229,8 +249,9 @@ def _any_path(tree: Any, chance: random.Random) -> str:
     scene = scene if isinstance(scene, dict) else {}
     blocks = (scene.get(key) for key in ("wells", "fractures", "probes", "boundaries"))
     names = [str(name) for block in blocks if isinstance(block, dict) for name in block]
-    paths = [*_paths(SCENE, "", names or ["p"]), *chance.sample(KEYS, 3), "scene.stress.xx", "a..b"]
-    return chance.choice(paths)
+    if chance.random() < 0.05:
+        return chance.choice((*KEYS, "scene.stress.xx", "a..b"))
+    return chance.choice(_paths_of_scenes(tuple(names[:20]) or ("p",)))
 
 
 def _inside(tree: Any, key: str, chance: random.Random) -> dict[str, Any]:

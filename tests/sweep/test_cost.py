@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from demflow.model.amounts import held_by_flow, kept_by_flow
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
-from demflow.model.stages import grain_count
+from demflow.model.stages import STAGES, grain_count
 from demflow.sweep.command.forecast import forecast
 from demflow.sweep.execution.memory import peak_memory
 from demflow.sweep.plan.graph import SIZE_STEP, CostClass, make_plan, stage_table
@@ -228,3 +229,58 @@ def test_a_forecast_after_a_few_runs_is_right_within_a_factor_of_two(tmp_path):
     assert told["memory"] > 10e6
     assert forecast(before, 2)["seconds"] == 0.0
     assert forecast(toys.prepared(many, results), 2)["bytes"] == 0
+
+
+@pytest.mark.parametrize("changes", [1, 7, 60])
+@pytest.mark.parametrize("maps", [False, True])
+def test_numbers_of_the_responses_are_counted_before_they_are_made(changes, maps):
+    """Exactly, but for the maps, whose pores are about as many as the grains."""
+    begin = np.linspace(0.0, 100.0, changes) + 0.1 * np.arange(changes) ** 1.5
+    scene = Scene(
+        region=Circle(1.0),
+        grains=Grains(count=300, packing="hexagonal"),
+        matrix=Matrix(aperture=1e-5),
+        fluid=Fluid(1e-3, 1e9),
+        observe=("well_pressure", "pressure_map") if maps else ("well_pressure",),
+        wells=(
+            Well(
+                name="w",
+                at=(0.0, 0.0),
+                radius=0.1,
+                schedule=tuple((float(t), 1e-6 * (1 + k % 2)) for k, t in enumerate(begin)),
+            ),
+        ),
+        boundaries=(("outer", 1e6),),
+        initial_pressure=1e6,
+        times=tuple(np.geomspace(1.0, 1e3, 20).tolist()),
+    )
+    responses = run_stages_of(scene)["flow"]
+    arrays = [np.asarray(array) for array in responses]
+    many = sum(array.size for array in arrays if array.ndim == 3)
+    counted = kept_by_flow(scene)
+    if maps:
+        assert many / 3 < counted < 3 * many
+    else:
+        assert counted == pytest.approx(many, rel=0.05)
+    assert held_by_flow(scene) > counted
+
+
+def run_stages_of(scene):
+    products = {}
+    for stage in STAGES:
+        if stage.name != "observe" and stage.wanted(scene):
+            parents = [products.get(name) for name in stage.parents]
+            products[stage.name] = stage.run(*parents, **stage.given(scene))
+    return products
+
+
+def test_more_times_take_more_disk_and_memory_at_the_same_size():
+    costs, few = Costs(), kind(1000)
+    costs.add(few, 1.0, 50_000, 200_000_000)
+    many = few._replace(
+        kept=round(math.log(1e8) / SIZE_STEP), held=round(math.log(2e8) / SIZE_STEP)
+    )
+    assert costs.stored(many) == pytest.approx(8e8, rel=0.06)
+    assert costs.memory(many) == pytest.approx(2e8 + 1.6e9, rel=0.06)
+    costs.add(many, 1.0, 800_000_000, 1_800_000_000)
+    assert costs.memory(few) < 4e8  # what times took is no part of the size's
