@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from demflow.model.compile import kernel
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.linear.factor import analyse, factorise, solve
 from demflow.model.network.connectivity import reached
@@ -202,47 +203,66 @@ def _backbone(graph: Graph) -> Array:
     root = n + (int(ports.max()) + 1 if len(ports) else 0)
     a = np.concatenate([graph.branch_a, met[0], n + ports])
     c = np.concatenate([graph.branch_b, n + met[1], np.full(len(ports), root)])
-    found = np.zeros(b, dtype=bool)
-    for edges in _components(root, a.tolist(), c.tolist()):
-        if sum(edge >= b + met.shape[1] for edge in edges) > 1:
-            found[[edge for edge in edges if edge < b]] = True
-    return found
+    nodes = root + 1
+    label = _components(root, *_around(nodes, a, c))
+    at_root = label[b + met.shape[1] :]
+    between, edges = np.unique(at_root, return_counts=True)
+    return np.isin(label[:b], between[(edges > 1) & (between >= 0)])
 
 
-def _components(root: int, a: list[int], b: list[int]) -> list[list[int]]:
-    """Edges of each biconnected component of what hangs together with a node."""
-    around: dict[int, list[tuple[int, int]]] = {}
-    for edge, (i, j) in enumerate(zip(a, b, strict=True)):
-        around.setdefault(i, []).append((j, edge))
-        around.setdefault(j, []).append((i, edge))
-    order, low = {root: 0}, {root: 0}
-    used: set[int] = set()
-    kept: list[int] = []
-    found: list[list[int]] = []
-    stack = [(root, -1, iter(around.get(root, ())))]
-    while stack:
-        node, came, ways = stack[-1]
-        for other, edge in ways:
-            if edge in used:
+def _around(n: int, a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Edges at each of n nodes: where they start (n + 1,), the node beyond and the edge (2 e,)."""
+    node, beyond = np.concatenate([a, b]), np.concatenate([b, a])
+    edge = np.tile(np.arange(len(a)), 2)
+    order = np.argsort(node, kind="stable")
+    start = np.concatenate([[0], np.cumsum(np.bincount(node, minlength=n))])
+    return start, beyond[order], edge[order]
+
+
+@kernel
+def _components(root, start, beyond, edge):
+    """Biconnected component of each edge that hangs together with a node, −1 of the others.
+
+    Depth first from the root: `low` is the least order that a node's descendants reach by one
+    edge back; where that is not above the node itself, the edges met since then are a component.
+    """
+    n, e = len(start) - 1, len(edge) // 2
+    order, low, came = np.full(n, -1), np.full(n, -1), np.full(n, -1)
+    above, way = np.full(n, -1), start[:-1].copy()
+    label, kept = np.full(e, -1), np.empty(e, np.int64)
+    used = np.zeros(e, np.bool_)
+    order[root] = low[root] = 0
+    visited, top, components, node = 1, 0, 0, root
+    while node >= 0:
+        if way[node] < start[node + 1]:
+            k = way[node]
+            way[node] += 1
+            if used[edge[k]]:
                 continue
-            used.add(edge)
-            kept.append(edge)
-            if other in order:
+            used[edge[k]] = True
+            kept[top] = edge[k]
+            top += 1
+            other = beyond[k]
+            if order[other] >= 0:
                 low[node] = min(low[node], order[other])
                 continue
-            order[other] = low[other] = len(order)
-            stack.append((other, edge, iter(around[other])))
-            break
-        else:
-            stack.pop()
-            if stack:
-                above = stack[-1][0]
-                low[above] = min(low[above], low[node])
-                if low[node] >= order[above]:
-                    at = len(kept) - 1 - kept[::-1].index(came)
-                    found.append(kept[at:])
-                    del kept[at:]
-    return found
+            order[other] = low[other] = visited
+            visited += 1
+            above[other], came[other] = node, edge[k]
+            node = other
+            continue
+        parent = above[node]
+        if parent >= 0:
+            low[parent] = min(low[parent], low[node])
+            if low[node] >= order[parent]:
+                while True:
+                    top -= 1
+                    label[kept[top]] = components
+                    if kept[top] == came[node]:
+                        break
+                components += 1
+        node = parent
+    return label
 
 
 def _alone(
@@ -313,20 +333,19 @@ def _snow(lines: Sequence[Line], apertures: Array, region: Region) -> Array:
     Snow (1965, thesis, Berkeley) takes fractures as parallel plates without end. Of a bent trace
     the plate runs from end to end.
     """
-    whole: dict[int, list[Line]] = {}
-    weight: dict[int, float] = {}
-    for line, aperture in zip(lines, apertures.tolist(), strict=True):
-        whole.setdefault(line.trace, []).append(line)
-        weight[line.trace] = aperture
-    total = np.zeros((2, 2))
+    _, first, trace = np.unique(
+        [line.trace for line in lines], return_index=True, return_inverse=True
+    )
+    last = np.zeros(len(first), dtype=np.int64)
+    np.maximum.at(last, trace.reshape(-1), np.arange(len(lines)))
+    start = np.array([lines[k].start for k in first.tolist()]).reshape(-1, 2)
+    end = np.array([lines[k].end for k in last.tolist()]).reshape(-1, 2)
+    span = np.hypot(*(end - start).T)
+    unit = (end - start) / np.where(span > 0.0, span, np.inf)[:, None]
+    middle = 0.5 * (start + end)
     xmin, xmax, ymin, ymax = bounding_box(region)
     reach = 1.1 * float(np.hypot(xmax - xmin, ymax - ymin))
-    for trace, parts in whole.items():
-        start, end = np.array(parts[0].start), np.array(parts[-1].end)
-        if not (span := float(np.hypot(*(end - start)))):
-            continue
-        unit, middle = (end - start) / span, 0.5 * (start + end)
-        _, s0, s1 = clip_segments(region, middle - reach * unit, middle + reach * unit)
-        chord = 2.0 * reach * float((s1 - s0).sum())
-        total += weight[trace] ** 3 * chord / 12.0 * np.outer(unit, unit)
-    return total
+    plate, s0, s1 = clip_segments(region, middle - reach * unit, middle + reach * unit)
+    chord = 2.0 * reach * np.bincount(plate, s1 - s0, minlength=len(first))
+    weight = apertures[first] ** 3 * chord / 12.0
+    return np.einsum("k,ki,kj->ij", weight, unit, unit)
