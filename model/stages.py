@@ -99,6 +99,7 @@ class Stage:
     # why what it returned stops early, "" where it does not; ModelError where it is no result
     check: Callable[[Any], str] | None = None
     observed: bool = False  # whether its product is what a study asks of a case
+    sources: str = ""  # what tells its sources from others of the same version, where they differ
 
     @property
     def run(self) -> Callable[..., Any]:

@@ -35,6 +35,7 @@ from demflow.sweep.store.durable import naming
 from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.kept import keep_study
 from demflow.sweep.store.lock import FolderLock
+from demflow.sweep.store.origins import note_origins
 from demflow.sweep.store.products import StoreError
 from demflow.sweep.store.written import is_whole, ours
 from demflow.sweep.study.expect import ends_as_expected
@@ -136,6 +137,7 @@ def run_study(
             if tell and (message := inherited(prepared.store, prepared.plan)):
                 tell(message)
             note(prepared.store, prepared.study, prepared.plan)
+            note_origins(prepared.store, prepared.plan.stages)
         held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
         executed, damaged = None, []
         for _ in range(ROUNDS):

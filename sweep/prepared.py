@@ -19,12 +19,14 @@ from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import available
 from demflow.sweep.plan.graph import MODEL, Plan, make_plan, stage_table
 from demflow.sweep.store.costs import Costs
+from demflow.sweep.store.origins import with_origins
 from demflow.sweep.store.products import Store
 from demflow.sweep.study.load import Limits, Study, load_study
 from demflow.sweep.study.scenes import SceneBuilder
 
 if TYPE_CHECKING:
     from demflow.model.scene import Scene
+    from demflow.model.stages import Stage
     from demflow.sweep.dataset.verdict import Verdict
 
 SILENCE = 2.0  # s after which planning says how far it is
@@ -108,7 +110,6 @@ def prepare(
     """
     study = load_study(path, smoke=smoke)
     builder = SceneBuilder(study.values, study.axes)
-    plan = planned(study, table, tell)
 
     @functools.lru_cache(maxsize=512)
     def scene_of(case: int) -> Scene:
@@ -116,13 +117,18 @@ def prepare(
 
     root = Path(results)
     store = Store.open(root / "store", create=create)
+    plan = planned(study, with_origins(stage_table(table), store), tell)
     return Project(study, plan, store, root / study.name, scene_of, table)
 
 
-def planned(study: Study, table: str = MODEL, tell: Callable[[str], None] | None = None) -> Plan:
-    """Return the plan of all cases of a study."""
+def planned(
+    study: Study,
+    stages: tuple[Stage, ...] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Plan:
+    """Return the plan of all cases of a study, by the model's table of stages or another."""
     builder = SceneBuilder(study.values, study.axes)
-    return make_plan(_scenes(study, builder, tell), stage_table(table))
+    return make_plan(_scenes(study, builder, tell), stages or stage_table())
 
 
 def _scenes(

@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
-from demflow.sweep.dataset.file import dataset_problem
+from demflow.sweep.dataset.file import attribute, dataset_problem
 from demflow.sweep.dataset.folder import UNFINISHED_FILE
-from demflow.sweep.plan.graph import MODEL
+from demflow.sweep.plan.graph import MODEL, stage_table
 from demflow.sweep.prepared import planned
 from demflow.sweep.store.lock import FolderLock
+from demflow.sweep.store.origins import as_made, sources_told, with_origins
 from demflow.sweep.store.products import Store, StoreError, put_aside
 from demflow.sweep.study.load import load_study
 
@@ -75,11 +76,16 @@ def unwanted(results: str | Path, *, table: str = MODEL) -> Unwanted:
     root = _root(results)
     store = _store(root)
     wanted: set[str] = set()
+    stages = stage_table(table)
+    now = with_origins(stages, store)
     for name in (STUDY_FILE, UNFINISHED_FILE):
         for path in sorted(root.glob(f"*/{name}")):
+            made = attribute(path.with_name(DATASET_FILE), "stage_sources") or ""
             for smoke in (False, True):
-                plan = planned(load_study(path, smoke=smoke), table)
-                wanted.update(run.id for run in plan.runs)
+                study = load_study(path, smoke=smoke)
+                # what the dataset is made of, and what the next run takes, be the sources others
+                for by in {sources_told(s): s for s in (now, as_made(stages, made))}.values():
+                    wanted.update(run.id for run in planned(study, by).runs)
     files = [*store.unwanted(wanted), *sorted(root.glob(f"*/{DATASET_FILE}.damaged"))]
     sizes: dict[Path, int] = {}
     for path in files:

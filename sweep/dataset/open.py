@@ -15,9 +15,11 @@ from demflow.model.products import build
 from demflow.model.quantities import COORDINATES, MAPS, TESTS, X_NAME, Y_NAME
 from demflow.model.scene import Scene
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
+from demflow.sweep.dataset.file import attribute
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.plan.graph import MODEL, make_plan, stage_table
+from demflow.sweep.store.origins import as_made
 from demflow.sweep.store.products import DamagedError, MissingError, Store, StoreError
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import case_at, coordinates
@@ -83,7 +85,8 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
         raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
     index = _index(study, at)
     scene = case_at(study, index).scene
-    plan = make_plan([scene], stage_table(table))
+    made = attribute(folder / DATASET_FILE, "stage_sources") or ""
+    plan = make_plan([scene], as_made(stage_table(table), made))
     products: dict[str, Any] = {}
     for run in (plan.runs[last] for last in plan.cases[0] if last >= 0):
         stage = plan.stages[run.stage]

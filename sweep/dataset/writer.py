@@ -17,6 +17,7 @@ from demflow.sweep.dataset.ragged import Ragged, ragged_dimension
 from demflow.sweep.dataset.tiles import Tile
 from demflow.sweep.dataset.verdict import Verdict
 from demflow.sweep.plan.graph import Plan
+from demflow.sweep.store.origins import sources_told
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import Coordinate, coordinates
 from demflow.sweep.study.expect import JUDGED, beyond_bounds
@@ -138,6 +139,7 @@ class Writer:
             "stage_runs": f"{', '.join(f'{s.name} {n}' for s, n in counted)} "
             f"behind {len(plan.cases)} cases",
             "demflow_version": installed("demflow"),  # where nothing was done
+            **({"stage_sources": told} if (told := sources_told(plan.stages)) else {}),
             **made_by,
             "netCDF4_version": installed("netCDF4"),
             "xarray_version": installed("xarray"),

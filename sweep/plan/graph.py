@@ -201,7 +201,7 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
                     name: runs[p].id if p >= 0 else None
                     for name, p in zip(stage.parents, parents, strict=True)
                 }
-                identity = product_id(stage.name, stage.version, reads, parent_ids)
+                identity = product_id(stage.name, origin(stage), reads, parent_ids)
                 run = index.setdefault(identity, len(runs))
                 if run == len(runs):
                     kind = CostClass.of(stage, scene)
@@ -210,6 +210,11 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
                 own[k] = run
     table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))
     return Plan(stages, runs, table, impossible)
+
+
+def origin(stage: Stage) -> int | tuple[int, str]:
+    """What made a stage's results: its version, with its sources where these are told apart."""
+    return (stage.version, stage.sources) if stage.sources else stage.version
 
 
 class _Reader:

@@ -60,7 +60,10 @@ def encode(value: Any) -> bytes:
 
 
 def product_id(
-    stage: str, version: int, reads: Mapping[str, bytes], parents: Mapping[str, str | None]
+    stage: str,
+    version: int | tuple[int, str],
+    reads: Mapping[str, bytes],
+    parents: Mapping[str, str | None],
 ) -> str:
     """Return the identity of a stage's product, 64 hexadecimal digits (SHA-256).
 
@@ -70,7 +73,8 @@ def product_id(
 
     Parameters
     ----------
-    stage, version : the row of the table.
+    stage, version : the row of the table; the version with its sources, where more than one state
+        of them is known.
     reads : canonical bytes (`encode`) of each part of the scene that the stage reads, by name.
     parents : identities of the products that it takes, by the names of their stages.
     """

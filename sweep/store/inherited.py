@@ -29,6 +29,7 @@ def note(store: Store, study: Study, plan: Plan) -> None:
     told = {
         "demflow": installed("demflow"),
         "stages": {stage.name: stage.version for stage in plan.stages},
+        "sources": {stage.name: stage.sources for stage in plan.stages},
         "smoke": study.smoke,
         "products": _first_products(plan),
     }
@@ -46,6 +47,8 @@ def inherited(store: Store, plan: Plan) -> str | None:
     try:
         told: Mapping[str, Any] = json.loads((store.root / _NOTE).read_text())
         before: Mapping[str, int] = dict(told["stages"])
+        sources: Mapping[str, str] = dict(told.get("sources", {}))
+        there = {name: store.has(made) for name, (_, made) in _first_products(plan).items()}
         made_by = str(told["demflow"])
         same = _same_products(store, plan, told)
     except (OSError, ValueError, TypeError, KeyError, IndexError):
@@ -58,6 +61,10 @@ def inherited(store: Store, plan: Plan) -> str | None:
             anew[stage.name] = "new"
         elif before[stage.name] != stage.version:
             anew[stage.name] = f"version {before[stage.name]}, now {stage.version}"
+        elif there.get(stage.name):
+            kept.append(stage.name)
+        elif sources.get(stage.name, "") != stage.sources:
+            anew[stage.name] = "its sources have changed"
         elif follows and not same.get(stage.name, False):
             anew[stage.name] = f"follows {', '.join(follows)}"
         elif not same.get(stage.name, True):

@@ -1,0 +1,69 @@
+"""Which sources made the results of a store, so that those of others are never mixed with them.
+
+A stage's version says when its results change, for releases. A checkout under work changes
+without it: the first sources that a stage of some version ran with in a store are noted, and its
+products are found under that version alone. Other sources of the same version get identities of
+their own. So nothing is reused that other code has made, only stages whose sources changed
+are computed anew, and who goes back to the first sources finds their results again.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+from demflow.sweep.plan.sources import closure
+from demflow.sweep.store.durable import write_durably
+from demflow.sweep.store.products import Store
+
+if TYPE_CHECKING:
+    from demflow.model.stages import Stage
+
+NOTE = "sources.json"  # in the store
+DIGITS = 16  # of a hash that tell one state of the sources from another
+
+
+def with_origins(stages: tuple[Stage, ...], store: Store) -> tuple[Stage, ...]:
+    """The table of stages, those told apart whose sources are not the first ones of this store."""
+    noted = _noted(store)
+
+    def told_apart(stage: Stage) -> Stage:
+        now = closure(stage.function)[:DIGITS]
+        return replace(stage, sources="" if noted.get(_key(stage), now) == now else now)
+
+    return tuple(map(told_apart, stages))
+
+
+def as_made(stages: tuple[Stage, ...], told: str) -> tuple[Stage, ...]:
+    """The table of stages with the sources that a dataset tells (`sources_told`)."""
+    sources = dict(part.split(" ", 1) for part in told.split(", ") if " " in part)
+    return tuple(replace(stage, sources=sources.get(stage.name, "")) for stage in stages)
+
+
+def sources_told(stages: tuple[Stage, ...]) -> str:
+    """Which stages ran with other sources than the first ones of the store, as one line."""
+    return ", ".join(f"{stage.name} {stage.sources}" for stage in stages if stage.sources)
+
+
+def note_origins(store: Store, stages: tuple[Stage, ...]) -> None:
+    """Note the sources of stages that run in this store for the first time. Raises OSError."""
+    noted = _noted(store)
+    new = {_key(s): closure(s.function)[:DIGITS] for s in stages if _key(s) not in noted}
+    if new:
+        write_durably(store.root / NOTE, json.dumps({**noted, **new}, indent=1).encode())
+
+
+def _noted(store: Store) -> dict[str, str]:
+    """The first sources of each stage and version, nothing where that cannot be read."""
+    with suppress(OSError, ValueError):
+        told: Any = json.loads((store.root / NOTE).read_text())
+        if isinstance(told, Mapping):
+            return {str(key): str(value) for key, value in told.items()}
+    return {}
+
+
+def _key(stage: Stage) -> str:
+    return f"{stage.name}/{stage.version}"
