@@ -26,8 +26,8 @@ from demflow.sweep.study.scenes import SceneBuilder
 
 if TYPE_CHECKING:
     from demflow.model.scene import Scene
-    from demflow.model.stages import Stage
     from demflow.sweep.dataset.verdict import Verdict
+    from demflow.sweep.plan.graph import Stages
 
 SILENCE = 2.0  # s after which planning says how far it is
 MORE = 1.25  # times the memory that was short, from which on a case is tried again
@@ -123,7 +123,7 @@ def prepare(
 
 def planned(
     study: Study,
-    stages: tuple[Stage, ...] | None = None,
+    stages: Stages | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> Plan:
     """Return the plan of all cases of a study, by the model's table of stages or another."""

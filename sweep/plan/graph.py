@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from demflow.model.scene import Scene, SceneError
     from demflow.model.stages import Stage
 
+    Stages = tuple[Stage, ...]  # a table of them
+
 
 MODEL = "demflow.model.stages:STAGES"
 SIZE_STEP = 0.1  # in the logarithm: sizes closer than that cost the same

@@ -20,38 +20,41 @@ from demflow.sweep.store.durable import write_durably
 from demflow.sweep.store.products import Store
 
 if TYPE_CHECKING:
-    from demflow.model.stages import Stage
+    from demflow.sweep.plan.graph import Stages
 
 NOTE = "sources.json"  # in the store
 DIGITS = 16  # of a hash that tell one state of the sources from another
 
 
-def with_origins(stages: tuple[Stage, ...], store: Store) -> tuple[Stage, ...]:
+def with_origins(stages: Stages, store: Store) -> Stages:
     """The table of stages, those told apart whose sources are not the first ones of this store."""
     noted = _noted(store)
+    found = [closure(stage.function)[:DIGITS] for stage in stages]
+    return tuple(
+        replace(stage, sources="" if noted.get(key, now) == now else now)
+        for stage, key, now in zip(stages, _keys(stages), found, strict=True)
+    )
 
-    def told_apart(stage: Stage) -> Stage:
-        now = closure(stage.function)[:DIGITS]
-        return replace(stage, sources="" if noted.get(_key(stage), now) == now else now)
 
-    return tuple(map(told_apart, stages))
-
-
-def as_made(stages: tuple[Stage, ...], told: str) -> tuple[Stage, ...]:
+def as_made(stages: Stages, told: str) -> Stages:
     """The table of stages with the sources that a dataset tells (`sources_told`)."""
     sources = dict(part.split(" ", 1) for part in told.split(", ") if " " in part)
     return tuple(replace(stage, sources=sources.get(stage.name, "")) for stage in stages)
 
 
-def sources_told(stages: tuple[Stage, ...]) -> str:
+def sources_told(stages: Stages) -> str:
     """Which stages ran with other sources than the first ones of the store, as one line."""
     return ", ".join(f"{stage.name} {stage.sources}" for stage in stages if stage.sources)
 
 
-def note_origins(store: Store, stages: tuple[Stage, ...]) -> None:
+def note_origins(store: Store, stages: Stages) -> None:
     """Note the sources of stages that run in this store for the first time. Raises OSError."""
     noted = _noted(store)
-    new = {_key(s): closure(s.function)[:DIGITS] for s in stages if _key(s) not in noted}
+    new = {
+        key: closure(stage.function)[:DIGITS]
+        for key, stage in zip(_keys(stages), stages, strict=True)
+        if key not in noted
+    }
     if new:
         write_durably(store.root / NOTE, json.dumps({**noted, **new}, indent=1).encode())
 
@@ -65,5 +68,5 @@ def _noted(store: Store) -> dict[str, str]:
     return {}
 
 
-def _key(stage: Stage) -> str:
-    return f"{stage.name}/{stage.version}"
+def _keys(stages: Stages) -> list[str]:
+    return [f"{stage.name}/{stage.version}" for stage in stages]
