@@ -242,8 +242,12 @@ def clip_segment(
                     cuts.append(s)
     ends = np.unique(np.clip(cuts, 0.0, 1.0))
     middles = a + 0.5 * (ends[:-1] + ends[1:])[:, None] * step
+    within = contains(region, middles)
+    if isinstance(region, Polygon):  # what lies on an edge is outside, whichever edge it is
+        xmin, xmax, ymin, ymax = bounding_box(region)
+        within &= distance_to_rim(region, middles) > 1e-12 * max(xmax - xmin, ymax - ymin)
     kept: list[tuple[float, float]] = []
-    for s0, s1, inside in zip(ends[:-1], ends[1:], contains(region, middles), strict=True):
+    for s0, s1, inside in zip(ends[:-1], ends[1:], within, strict=True):
         if not inside:
             continue
         if kept and kept[-1][1] == s0:

@@ -8,7 +8,7 @@ import pytest
 
 from demflow.model import scene as parts
 from demflow.model.parameters import SceneError
-from demflow.model.region import Circle, Rectangle
+from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import (
     MEASURED_BY_A_TEST,
     OBSERVABLES,
@@ -253,7 +253,8 @@ def test_only_flow_outputs_need_flow():
         made = good(
             observe=(name,), probes=(Probe("p", (0.0, 0.0)),), grains=STIFF, test=FailureTest()
         )
-        assert made.flows == (name not in ("permeability", "grain_map", *MEASURED_BY_A_TEST))
+        without = ("permeability", "grain_map", "fracture_network", *MEASURED_BY_A_TEST)
+        assert made.flows == (name not in without)
     assert not good(observe=("permeability",), times=(), wells=(), boundaries=()).flows
 
 
@@ -322,3 +323,27 @@ def test_joints_under_a_stress_off_the_walls_are_refused_before_anything_runs(an
     assert good(**jointed, stress=along).stress is along
     assert "stress.angle" in problems(lambda: good(**jointed, stress=Stress(2e7, 1e7, angle)))
     assert good(**{**jointed, "fractures": ()}, stress=Stress(2e7, 1e7, angle)).stress
+
+
+@pytest.mark.parametrize(
+    "region",
+    [
+        Rectangle(2.0, 2.0),
+        Polygon(((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))),
+    ],
+)
+def test_a_fracture_along_the_rim_is_refused_on_every_side(region):
+    for start, end in (
+        ((-1, 1), (1, 1)),
+        ((1, -1), (-1, -1)),
+        ((-1, 0), (-1, 1)),
+        ((1, 0), (1, 1)),
+    ):
+        along = Trace(name="t", aperture=1e-4, start=start, end=end)
+        found = problems(
+            lambda along=along: good(region=region, wells=(), observe=(), fractures=(along,))
+        )
+        assert "fractures.t.from" in found
+    slanted = Trace(name="t", aperture=1e-4, start=(-1, -1), end=(1, 0.999))
+    found = problems(lambda: good(region=region, wells=(), observe=(), fractures=(slanted,)))
+    assert not any(path.startswith("fractures") for path in found)

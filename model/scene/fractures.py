@@ -320,7 +320,7 @@ def _placement_problems(fracture: Fracture, region: Region) -> Problems:
             key = "at"
         elif fracture.vertices is None:
             key = "from"
-        yield key, "the fracture lies outside the region"
+        yield key, "the fracture lies outside the region, or along its rim"
 
 
 def _drawing_problems(fracture: RandomSet, region: Region) -> Problems:
