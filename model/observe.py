@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from demflow.model.controls import Controls
+from demflow.model.flow.equation.local_rock import spacing_around
 from demflow.model.history import History, Volumes, superposed, superposed_error
 from demflow.model.products import (
     Apertures,
@@ -64,6 +65,13 @@ def observe(
             "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
             "parted_pipes": _parted(network, stress),
         }
+        if "well_pressure" in wanted:
+            found["pores_per_well"] = np.array(
+                [
+                    2.0 * well.radius / spacing_around(network, well.at, well.radius)
+                    for well in controls.wells
+                ]
+            )
     if tested is not None:
         found |= {name: getattr(tested, name) for name in MEASURED_BY_A_TEST if name in wanted}
         found |= {name: getattr(tested, name) for name in CONFINEMENT}

@@ -39,6 +39,7 @@ class Packing(NamedTuple):
     packing_pressure: Array  # () pressure / k_n
     unbalanced_ratio: Array  # () mean unbalanced force over mean contact force
     steps: Array  # () time steps taken
+    scale: Array = np.empty(0)  # (n,) size of grains there over the coarse ones; none: all alike
 
 
 class UnitLoads(NamedTuple):
@@ -147,7 +148,7 @@ class Network(NamedTuple):
     pipe_to: Array  # (p,) domain
     pipe_grain_a: Array  # (p,) grains of the contact, a < b
     pipe_grain_b: Array  # (p,)
-    pipe_length: Array  # (p,) m: r_a + r_b, of half a pipe its part
+    pipe_length: Array  # (p,) m: r_a + r_b over their scale; of half a pipe its part
     cut: Array  # (b,) pipes that cross the rim: pipe_from or pipe_to is inside, not both
     cut_inside: Array  # (b,) the domain inside
     cut_outside: Array  # (b,) the domain outside

@@ -101,6 +101,13 @@ CASE: dict[str, Quantity] = {
         "1 where the lowest pressure is below zero, else 0",
         comment="no liquid bears that, if pressures are absolute",
     ),
+    "pores_per_well": Quantity(
+        "1",
+        ("well",),
+        "diameter of the well over the spacing of the pores around it",
+        ("well_pressure",),
+        comment="below some five, what is close to the well is coarser than the well itself",
+    ),
     "probe_place_x": Quantity(
         "m", ("probe",), "x of the place whose pressure the probe has", ("probe_pressure",)
     ),

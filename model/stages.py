@@ -39,7 +39,7 @@ from demflow.model.products import (
     UnitLoads,
 )
 from demflow.model.quantities import checked
-from demflow.model.scene import Bonds, Scene, joint_lines
+from demflow.model.scene import Bonds, Scene, joint_lines, refined_places
 
 if TYPE_CHECKING:
     from demflow.model.flow.solvers.registry import flow
@@ -188,7 +188,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         function="demflow.model.mechanics.packing.packing:pack",
-        version=6,
+        version=7,
         parents=(),
         reads={
             "region": lambda s: s.region,
@@ -205,6 +205,7 @@ STAGES: tuple[Stage, ...] = (
             "sizes": lambda s: s.grains.sizes,
             "radius_deviation": lambda s: s.grains.radius_deviation,
             "radii": lambda s: s.grains.radii,
+            "refine": lambda s: refined_places(s.grains.refine, s.wells, s.fractures, s.region),
         },
         wanted=_always,
         product=Packing,
@@ -345,7 +346,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="demflow.model.observe:observe",
-        version=7,
+        version=8,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures"),

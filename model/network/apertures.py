@@ -181,7 +181,10 @@ def pipe_gaps(network: Network, stress: StressState) -> np.ndarray:
     distance = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b])
     contact = pipe_contacts(network, stress)
     opening = np.where(contact >= 0, stress.joint_gap[contact], np.nan)
-    return np.where(np.isnan(opening), distance - network.pipe_length, opening)
+    touching = (
+        network.grain_radius[network.pipe_grain_a] + network.grain_radius[network.pipe_grain_b]
+    )
+    return np.where(np.isnan(opening), distance - touching, opening)
 
 
 def _calibrate(

@@ -89,6 +89,9 @@ def network(packing: Packing, *, region: Region) -> Network:
 
     corner_pipe = pipe_of_contact[corner_half_edge >> 1]
     length = radius[a] + radius[b]
+    if len(packing.scale):
+        # pipes among finer grains conduct as coarse ones do: one aperture is one permeability
+        length /= 0.5 * (packing.scale[a] + packing.scale[b])
     _check_width(region, float(np.sqrt(area[inside].mean())))
     parted = _over_slots(region, cx, cy, inside, left, right)
     if len(parted.pipe):

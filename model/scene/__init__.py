@@ -35,8 +35,8 @@ from demflow.model.scene.fractures import (
     Trace,
     TraceMap,
 )
-from demflow.model.scene.lines import JointLine, Line, joint_lines, lines_of
-from demflow.model.scene.rock import Bonds, Contact, FailureTest, Grains, Stress
+from demflow.model.scene.lines import JointLine, Line, joint_lines, lines_of, refined_places
+from demflow.model.scene.rock import Bonds, Contact, FailureTest, Grains, Refinement, Stress
 from demflow.model.scene.trace_maps import MapFile
 
 __all__ = [
@@ -65,6 +65,7 @@ __all__ = [
     "PowerLaw",
     "Probe",
     "RandomSet",
+    "Refinement",
     "Rectangle",
     "Region",
     "Scene",
@@ -78,4 +79,5 @@ __all__ = [
     "Well",
     "joint_lines",
     "lines_of",
+    "refined_places",
 ]

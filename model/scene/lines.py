@@ -9,11 +9,22 @@ import numpy as np
 
 from demflow.model.region import Region, bounding_box, clip_segments, contains
 from demflow.model.scene.distributions import apertures
+from demflow.model.scene.flow import Well
 from demflow.model.scene.fractures import Fracture, FractureSet, Joint, RandomSet, TraceMap
 from demflow.model.scene.random_sets import segments, stream
+from demflow.model.scene.rock import Refinement
 from demflow.model.scene.trace_maps import pieces
 
-__all__ = ["JointLine", "Line", "Polylines", "joint_lines", "lines_of", "polylines"]
+__all__ = [
+    "JointLine",
+    "Line",
+    "Polylines",
+    "RefinedPlace",
+    "joint_lines",
+    "lines_of",
+    "polylines",
+    "refined_places",
+]
 
 # An end of a trace nearer to the rim than this part of its length lies on it.
 RIM_TOUCH = 1e-9
@@ -68,6 +79,15 @@ class Polylines(NamedTuple):
         return np.bincount(owner, np.hypot(*(end - start).T), minlength=len(self.first) - 1)
 
 
+class RefinedPlace(NamedTuple):
+    """A segment, or a point, around which grains are finer."""
+
+    start: tuple[float, float]  # m
+    end: tuple[float, float]  # m
+    within: float  # m, distance up to which they are finest
+    size: float  # of them there, over that of the grains elsewhere
+
+
 def joint_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[JointLine, ...]:
     """Every straight piece of the fractures that are joints, with nothing of what they conduct."""
     return tuple(
@@ -77,6 +97,27 @@ def joint_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[JointL
         for start, end in zip(*polylines(fracture, region).pieces[1:], strict=True)
         if not np.array_equal(start, end)
     )
+
+
+def refined_places(
+    refinements: tuple[Refinement, ...] | None,
+    wells: tuple[Well, ...],
+    fractures: tuple[Fracture, ...],
+    region: Region,
+) -> tuple[RefinedPlace, ...] | None:
+    """Places around which grains are finer; None where there are none, or nothing to refine by."""
+    found: list[RefinedPlace] = []
+    for one in refinements or ():
+        if one.around == "wells":
+            ends = [(well.at, well.at, one.within + well.effective_radius) for well in wells]
+        elif one.around == "traces":
+            lines = lines_of(fractures, region)
+            ends = [(line.start, line.end, one.within) for line in lines]
+        else:
+            assert not isinstance(one.around, str)
+            ends = [(one.around, one.around, one.within)]
+        found += [RefinedPlace(*end, 1.0 / one.factor) for end in ends]
+    return tuple(found) or None
 
 
 def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:

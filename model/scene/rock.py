@@ -13,6 +13,7 @@ __all__ = [
     "Contact",
     "FailureTest",
     "Grains",
+    "Refinement",
     "Stress",
     "grain_problems",
     "loading_problems",
@@ -33,6 +34,22 @@ class Contact:
     law: str  # hertz | rolling
     poissons_ratio: float | None = None  # of the grains, for Hertz-Mindlin
     rolling_friction: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Refinement:
+    """A place around which grains are finer; beyond it they grow to their size elsewhere."""
+
+    around: str | tuple[float, float] = parameter(
+        "m", help="wells, traces, or a point around which grains are finer"
+    )
+    within: float = parameter("m", at_least=0, help="distance up to which they are finest")
+    factor: float = parameter(
+        above=1, at_most=64, help="radius of the grains elsewhere over that of the finest"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +115,9 @@ class Grains:
         help="grains without load stay as they lie, or are fitted into their voids and bonded",
     )
     seed: int = parameter(default=1, at_least=0, help="seed of the random packing")
+    refine: tuple[Refinement, ...] | None = parameter(
+        default=None, help="places around which grains of a random packing are finer"
+    )
     modulus: float | None = parameter(
         "Pa", default=None, above=0, help="modulus E_c of grains at a contact, whose k_n is E_c"
     )
@@ -137,6 +157,9 @@ class Grains:
                 problems.append((name, f"sizes {kind} and {name} go together"))
         if self.radii and max(self.radii) > 10.0 * min(self.radii):
             problems.append(("radii", "the largest radius is more than ten times the smallest"))
+        if self.refine and self.packing != "random":
+            what = f"grains of a {self.packing} packing are alike; take packing: random"
+            problems.append(("refine", what))
         problems += self._packing_problems()
         problems += self._contact_problems()
         if problems:

@@ -347,6 +347,45 @@ class Named(Section):
 
 
 @dataclass(frozen=True)
+class Listed(Section):
+    """A list of blocks of one sort."""
+
+    inner: Block
+
+    def read(self, node: Node, path: str, reading: Reading) -> dict[str, Any]:
+        """Values by number; one block alone is a list of one."""
+        items = node.items if isinstance(node, Sequence) else (node,)
+        found = {}
+        for number, item in enumerate(items):
+            inner = join(path, str(number))
+            reading.places[inner] = item.place
+            found[str(number)] = self.inner.read(item, inner, reading)
+        return found
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
+        """A tuple of them."""
+        return tuple(
+            self.inner.build(value, join(path, number), problems)
+            for number, value in values.items()
+        )
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter of one of them, by its number from 0."""
+        if not parts or parts[0] not in (values or {}):
+            raise NoParameter
+        return self.inner.find(values[parts[0]], parts[1:])
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of every one."""
+        for number, value in (values or {}).items():
+            yield from self.inner.paths(value, join(path, number))
+
+    def stand_in(self) -> Any:
+        """None of them."""
+        return {}
+
+
+@dataclass(frozen=True)
 class Words(Section):
     """A list of words out of a fixed choice."""
 

@@ -24,17 +24,19 @@ from demflow.model.scene import (
     BiWing,
     Circle,
     FractureSet,
+    Grains,
     InitialField,
     MapFile,
     Polygon,
     Probe,
     RandomSet,
     Rectangle,
+    Refinement,
     Scene,
     Trace,
     TraceMap,
 )
-from demflow.sweep.study.blocks import Block, Named, Specials, Words, block_of
+from demflow.sweep.study.blocks import Block, Listed, Named, Specials, Words, block_of
 from demflow.sweep.study.map_files import LARGEST_FILE, MapError, read_map
 from demflow.sweep.study.sections import (
     KEPT,
@@ -338,12 +340,17 @@ def _scene() -> Block:
     }
     mapped = {declared.name: declared for declared in dataclasses.fields(TraceMap)}
     point = Parameter(mapped["origin"], tuple[float, float], optional=False)
+    around = next(f for f in dataclasses.fields(Refinement) if f.name == "around")
+    place = Parameter(around, tuple[float, float], optional=False)
     within: Specials = {
         TraceMap: {
             "file": MapFiles(mapped["file"], rings=False),
             "area": MapFiles(mapped["area"], rings=True),
             "origin": WordOr(("centroid", "file"), point),
-        }
+        },
+        Grains: {
+            "refine": Listed(block_of(Refinement, {"around": WordOr(("wells", "traces"), place)}))
+        },
     }
     return block_of(Scene, special, WORDS, within)
 

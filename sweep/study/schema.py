@@ -11,7 +11,7 @@ import typing
 from typing import Any
 
 from demflow.sweep.study.axes import MAX_CASES
-from demflow.sweep.study.blocks import Block, Forms, Law, Named, OneOf, Words
+from demflow.sweep.study.blocks import Block, Forms, Law, Listed, Named, OneOf, Words
 from demflow.sweep.study.expect import EXPECT
 from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
 from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
@@ -130,6 +130,8 @@ def _schema(section: Section) -> Schema:
         }
     if isinstance(section, Named):
         return {"type": "object", "additionalProperties": _schema(section.inner)}
+    if isinstance(section, Listed):
+        return {"type": "array", "items": _schema(section.inner)}
     if isinstance(section, Law):
         laws = [_block(block, {}) for block in section.laws.values()]
         return {"anyOf": [_schema(section.number), *laws]}

@@ -14,8 +14,18 @@ from demflow.model.region import Region, distance_to_rim
 MEASURED_PORES = 20.0
 MARGIN_PORES = 3.0
 
+NEAREST = 40  # pores at the wall of a well whose mean area says how far apart pores are there
+
 # Measured pores lie this many pores from the rim, unless the region has none that far.
 RIM_PORES = 1.5
+
+
+def spacing_around(network: Network, at: tuple[float, float], radius: float) -> float:
+    """Root of the mean area of the pores at a well's wall and the nearest ones beyond it, m."""
+    distance = np.hypot(network.x - at[0], network.y - at[1])
+    distance = np.where(network.inside, np.abs(distance - radius), np.inf)
+    near = np.argsort(distance, kind="stable")[:NEAREST]
+    return float(np.sqrt(network.area[near[network.inside[near]]].mean()))
 
 
 def mobility_around(
@@ -27,7 +37,7 @@ def mobility_around(
     well's wall, where p = −x and p = −y are imposed a few pores further out and on the rim. Pipes
     along fractures are left out; zero where nothing else conducts.
     """
-    spacing = float(np.sqrt(network.area[network.inside].mean()))
+    spacing = spacing_around(network, at, radius)
     distance = np.hypot(network.x - at[0], network.y - at[1])
     end = radius + MEASURED_PORES * spacing
     node = np.full(len(network.x), -1)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.flow.equation.local_rock import mobility_around
+from demflow.model.flow.equation.local_rock import mobility_around, spacing_around
 from demflow.model.flow.equation.sites import WellSite
 from demflow.model.flow.equation.well_field import well_field
 from demflow.model.flow.equation.wells import (
@@ -212,12 +212,12 @@ def _placed(
     sides: tuple[str, ...],
 ) -> Wells:
     """The pores of each well, and the field that it would have in uniform rock."""
-    spacing = float(np.sqrt(network.area[network.inside].mean()))
     fixed = sources_of_sides(region, sides) >= 0
     fields, mean = [], np.zeros(len(wells))
     for k, well in enumerate(wells):
         mobility = mobility_around(network, apertures, region, well.at, well.radius)
         mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
+        spacing = spacing_around(network, well.at, well.radius)
         reach = well.radius + RING_PORES * spacing
         field = (
             well_field(well.at, well.radius, mobility, region, fixed, reach) if mean[k] else None

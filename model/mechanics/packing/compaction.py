@@ -29,6 +29,7 @@ from demflow.model.mechanics.motion.equilibrium import AT_REST, FIRE, TIME_STEP,
 from demflow.model.mechanics.motion.servo import STANDING, Servo
 from demflow.model.mechanics.packing.cell import Cell
 from demflow.model.mechanics.packing.floaters import fit
+from demflow.model.mechanics.packing.grading import strew
 from demflow.model.mechanics.packing.sizes import Sizes, draw_radii
 from demflow.model.mechanics.packing.tiles import tiled
 from demflow.model.mechanics.specimen import measures
@@ -111,16 +112,14 @@ def strewn(
     At the wanted porosity they fill a box of `size` (width, height; mean radii). Raises
     ModelError where they do not part.
     """
-    n = max(4, round((1.0 - porosity) * size[0] * size[1] / (np.pi * law.mean_square)))
-    radius = np.sort(draw_radii(law, n, rng))
-    box = size * np.sqrt(np.pi * np.sum(radius**2) / (start * size[0] * size[1]))
-    # Every patch gets as many grains of every size, so that the density is even over long
-    # distances; within its patch a grain lies anywhere.
-    columns, rows = np.maximum(1, np.round(box * np.sqrt(n / box.prod() / PATCH))).astype(int)
-    patches = np.arange(columns * rows)
-    patch = rng.permuted(np.tile(patches, (n // len(patches) + 1, 1)), axis=1).ravel()[:n]
-    x = ((patch % columns + rng.random(n)) / columns - 0.5) * box[0]
-    y = ((patch // columns + rng.random(n)) / rows - 0.5) * box[1]
+    if law.grading is None:
+        x, y, radius, box = _evenly(size, law, porosity, start, rng)
+    else:
+        share = np.pi * law.mean_square / (1.0 - porosity)
+        place = strew(law.grading, size, share, rng)
+        radius = draw_radii(law, len(place), rng) * law.grading.size(place)
+        box = size * np.sqrt(np.pi * np.sum(radius**2) / (start * size[0] * size[1]))
+        x, y = (place * box / size).T
     order = along_strips(x, y, STRIP)
     x, y, radius = x[order], y[order], radius[order]
     half = 0.5 * box
@@ -137,6 +136,23 @@ def strewn(
         )
     specimen.stand_still()
     return specimen
+
+
+def _evenly(
+    size: Array, law: Sizes, porosity: float, start: float, rng: np.random.Generator
+) -> tuple[Array, Array, Array, Array]:
+    """Places and radii (n,) of grains of one law everywhere, and their box (2,)."""
+    n = max(4, round((1.0 - porosity) * size[0] * size[1] / (np.pi * law.mean_square)))
+    radius = np.sort(draw_radii(law, n, rng))
+    box = size * np.sqrt(np.pi * np.sum(radius**2) / (start * size[0] * size[1]))
+    # Every patch gets as many grains of every size, so that the density is even over long
+    # distances; within its patch a grain lies anywhere.
+    columns, rows = np.maximum(1, np.round(box * np.sqrt(n / box.prod() / PATCH))).astype(int)
+    patches = np.arange(columns * rows)
+    patch = rng.permuted(np.tile(patches, (n // len(patches) + 1, 1)), axis=1).ravel()[:n]
+    x = ((patch % columns + rng.random(n)) / columns - 0.5) * box[0]
+    y = ((patch // columns + rng.random(n)) / rows - 0.5) * box[1]
+    return x, y, radius, box
 
 
 def compact(specimen: Specimen | Cell, recipe: Recipe) -> bool:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from demflow.model.mechanics.contact.grains import Array
+from demflow.model.mechanics.packing.grading import Grading
 
 CUT = 2.5  # standard deviations of ln r beyond which no radius is drawn
 QUANTILES = 20_000  # by which moments of a log-normal law are found
@@ -21,6 +22,7 @@ class Sizes(NamedTuple):
     mean_square: float  # mean of r² over the square of the mean of r
     deviation: float  # of ln r, log-normal
     radii: tuple[float, ...]  # of a list, their mean one
+    grading: Grading | None = None  # by which they are finer, from the middle of the box
 
 
 def sizes_of(

@@ -1,0 +1,67 @@
+"""Packings that are finer around chosen places: sizes, numbers, and one permeability everywhere."""
+
+import numpy as np
+import pytest
+
+from demflow.model.mechanics.packing.grading import SLOPE, coarse_radius, graded, strew
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.network.domains import network
+from demflow.model.permeability import unit_permeability
+from demflow.model.region import Circle, Rectangle
+from demflow.model.scene.lines import RefinedPlace
+
+DISC = Circle(1.0)
+HERE = (RefinedPlace((0.2, 0.1), (0.2, 0.1), 0.15, 0.25),)
+GRADED = pack(
+    region=DISC, count=900, mean_radius=None, packing="random", radius_ratio=1.66, porosity=0.18,
+    seed=3, refine=HERE,
+)  # fmt: skip
+
+
+def test_grains_are_finest_within_and_grow_slowly_to_the_coarse_ones():
+    place = np.column_stack([GRADED.x, GRADED.y])
+    distance = np.hypot(place[:, 0] - 0.2, place[:, 1] - 0.1)
+    inside = np.hypot(*place.T) < 1.0
+    assert np.count_nonzero(inside) == pytest.approx(900, rel=0.03)
+    fine, coarse = GRADED.radius[distance < 0.15].mean(), GRADED.radius[distance > 0.8].mean()
+    size = GRADED.scale * GRADED.radius.max() / GRADED.scale.max()
+    assert fine < 0.5 * coarse
+    assert np.all(GRADED.scale[distance < 0.14] == 0.25)
+    # each grain is of its place's size, within the law of radii
+    ratio = GRADED.radius / size
+    assert ratio.max() / ratio.min() < 2.2
+    beside = np.abs(np.diff(GRADED.scale[[GRADED.contact_a, GRADED.contact_b]], axis=0))
+    assert beside.max() < 2.5 * SLOPE
+
+
+def test_it_packs_as_grains_of_one_size_do():
+    assert GRADED.porosity == pytest.approx(0.18, abs=0.005)
+    assert GRADED.unbalanced_ratio <= 1e-3
+    assert 3.2 < GRADED.coordination < 4.2
+
+
+def test_one_aperture_is_one_permeability_in_fine_grains_and_in_coarse():
+    """Measured where grains are four times finer, and in the whole."""
+    fine = Circle(0.25)
+    moved = GRADED._replace(x=GRADED.x - 0.2, y=GRADED.y - 0.1)
+    whole = np.trace(unit_permeability(network(GRADED, region=DISC)))
+    part = np.trace(unit_permeability(network(moved, region=fine)))
+    assert part == pytest.approx(whole, rel=0.12)
+    unscaled = moved._replace(scale=np.empty(0))
+    assert np.trace(unit_permeability(network(unscaled, region=fine))) > 2.5 * part
+
+
+@pytest.mark.parametrize("count", [200, 5000])
+def test_the_coarse_radius_makes_the_count_asked_for(count):
+    """Strewn over the region alone, there are as many points."""
+    places = (
+        RefinedPlace((-0.5, 0.0), (0.6, 0.3), 0.05, 0.2),
+        RefinedPlace((0.3, -0.4), (0.3, -0.4), 0.1, 0.5),
+    )
+    grading, region = graded(places), Rectangle(2.0, 1.4)
+    radius = coarse_radius(grading, region, count, 4.0)
+    moved = grading.moved(np.zeros(2), radius)
+    points = strew(moved, np.array([2.0, 1.4]) / radius, 4.0, np.random.default_rng(1))
+    assert len(points) == pytest.approx(count, rel=0.02, abs=2)
+    near = np.hypot(points[:, 0] - 0.3 / radius, points[:, 1] + 0.4 / radius) < 0.1 / radius
+    assert near.sum() == pytest.approx(np.pi * 0.01 / (4.0 * (0.5 * radius) ** 2), rel=0.2, abs=4)
