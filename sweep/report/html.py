@@ -8,13 +8,14 @@ from html import escape as _escape
 from pathlib import Path
 
 from demflow.sweep.analysis.cases import plain_number
+from demflow.sweep.printable import printable_lines
 
 __all__ = ["data_uri", "escape", "grid"]
 
 
 def escape(text: object) -> str:
-    """Text that a browser shows as it is, in an element or an attribute."""
-    return _escape(str(text), quote=True)
+    """Text that a browser shows as it is, in an element or an attribute; nothing of it unseen."""
+    return _escape(printable_lines(str(text).expandtabs()), quote=True)
 
 
 def grid(

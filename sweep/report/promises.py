@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from html import escape
 
 import numpy as np
 import xarray as xr
 
 from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import Index, axes, case_title
-from demflow.sweep.report.html import grid
+from demflow.sweep.report.html import escape, grid
 from demflow.sweep.study.expect import ends_as_expected, in_words
 from demflow.sweep.study.load import Study
 

@@ -108,3 +108,9 @@ def test_names_are_as_long_as_files_and_datasets_take_them(tmp_path, name):
         assert "name" in found
     good = name[: 100 // len(name[0].encode())]
     assert not problems(tmp_path, SMALL.replace("producer:", f"{good}:"))
+
+
+def test_a_page_shows_what_cannot_be_seen():
+    from demflow.sweep.report.html import escape
+
+    assert escape("a\u202e<b>\x1b\n\tc") == "a\\u202e&lt;b&gt;\\x1b\n        c"
