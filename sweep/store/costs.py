@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,6 +59,11 @@ class Spent(NamedTuple):
         )
 
     @property
+    def possible(self) -> bool:
+        """Whether these can be totals of runs: others may have written the file."""
+        return all(0 <= float(number) < math.inf for number in self) and self.runs >= 1
+
+    @property
     def peak(self) -> int:
         """Memory of a worker, bytes: no more than that where all of them had compiled."""
         return self.memory or self.bound
@@ -102,10 +108,11 @@ class Costs:
             if told["machine"] != machine():
                 return
             known = {
-                key: {int(step): Spent(*entry) for step, entry in sizes.items()}
+                key: {int(step): spent for step, spent in _spent(sizes) if spent.possible}
                 for key, sizes in told["stages"].items()
             }
             start, main = told.get("start"), int(told.get("main", 0))
+            start = None if start is None or not 0.0 <= float(start) < math.inf else float(start)
         except (OSError, ValueError, TypeError, AttributeError, KeyError):
             return
         for key, sizes in known.items():
@@ -179,6 +186,10 @@ class Costs:
 
     def _sizes(self, kind: CostClass) -> dict[int, Spent]:
         return self.known.get(kind.key, {})
+
+
+def _spent(sizes: dict[str, Any]) -> Iterator[tuple[str, Spent]]:
+    yield from ((step, Spent(*entry)) for step, entry in sizes.items())
 
 
 def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections import defaultdict
 
@@ -284,3 +285,28 @@ def test_more_times_take_more_disk_and_memory_at_the_same_size():
     assert costs.memory(many) == pytest.approx(2e8 + 1.6e9, rel=0.06)
     costs.add(many, 1.0, 800_000_000, 1_800_000_000)
     assert costs.memory(few) < 4e8  # what times took is no part of the size's
+
+
+@pytest.mark.parametrize(
+    "entry",
+    [
+        "[0, 0, 0, 0, 0, 0]",
+        "[-1, 1.0]",
+        "[1, NaN]",
+        "[1, 1e999]",
+        "[null]",
+        "{}",
+        "[1,1,1,1,1,1,1,1,1,1]",
+    ],
+)
+def test_costs_that_cannot_be_are_no_costs(tmp_path, entry):
+    store = Store.open(tmp_path / "store")
+    costs = Costs()
+    costs.add(kind(1000), 1.0, 10, 1)
+    costs.write(store)
+    path = tmp_path / "store" / "costs.json"
+    told = json.loads(path.read_text())
+    told["stages"] = {kind(1000).key: {str(kind(1000).step): "ENTRY"}}
+    path.write_text(json.dumps(told).replace('"ENTRY"', entry))
+    read = Costs.read(store)
+    assert read.seconds(kind(1000)) is read.stored(kind(1000)) is read.memory(kind(1000)) is None

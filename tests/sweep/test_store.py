@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
+import struct
 
 import numpy as np
 import pytest
@@ -168,3 +170,39 @@ def test_folders_that_are_no_store_are_refused(tmp_path):
 def test_only_identities_reach_a_path(store, name):
     with pytest.raises(ValueError, match="no identity"):
         store.path(name)
+
+
+@pytest.mark.parametrize(
+    "head",
+    [
+        {},
+        [],
+        {"meta": 5, "payload": "", "arrays": []},
+        {"meta": {"id": "0" * 64}},
+        {"meta": {"id": "0" * 64}, "payload": hashlib.sha256().hexdigest(), "arrays": 5},
+        {"meta": {"id": "0" * 64}, "payload": hashlib.sha256().hexdigest(), "arrays": [[1]]},
+        {
+            "meta": {"id": "0" * 64},
+            "payload": hashlib.sha256().hexdigest(),
+            "arrays": [["x", "<f8", [9], 0]],
+        },
+    ],
+)
+def test_a_file_of_right_hashes_and_other_content_is_damaged(tmp_path, head):
+    store = Store.open(tmp_path / "store")
+    header = json.dumps(head).encode()
+    content = struct.pack("<8sQ32s", MAGIC, len(header), hashlib.sha256(header).digest()) + header
+    path = store.path("0" * 64)
+    path.parent.mkdir()
+    path.write_bytes(content)
+    with pytest.raises(DamagedError):
+        store.get("0" * 64)
+
+
+@pytest.mark.parametrize(
+    "record", [{}, {"status": 99, "message": "x"}, {"status": 1}, {"status": 0, "message": "x"}]
+)
+def test_a_record_that_tells_no_failure_is_none(tmp_path, record):
+    store = Store.open(tmp_path / "store")
+    store.put_failure("0" * 64, record)
+    assert store.failure("0" * 64) is None
