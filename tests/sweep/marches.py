@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import time
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -23,6 +24,48 @@ from tests.sweep.toy_stages import pack as toy_pack
 TOY, RATES = f"{__name__}:TOY_STAGES", f"{__name__}:RATE_STAGES"
 DECAY = 0.1  # 1/s
 DIES_ONCE, RAISES, STOPS = 99.0, 98.0, 97.0  # rates
+
+
+TEXT = """
+study: marched
+title: Marched
+scene:
+  region: {{shape: rectangle, width: 14 m, height: 14 m}}
+  grains: {{count: 50, porosity: 0.17, seed: 1}}
+  matrix: {{permeability: 1 mD}}
+  fluid: {{viscosity: {seconds} Pa s, bulk_modulus: 1 GPa}}
+  wells: {{producer: {{at: [0 m, 0 m], radius: 1 m, schedule: [[0 s, 1 m3/s]]}}}}
+  boundaries: {{left: 7 MPa}}
+  initial_pressure: 7 MPa
+  times: [1 s, 5 s, 15 s, 25 s, {last} s]
+vary:
+  schedule:
+    parameter: wells.producer.schedule
+    values:
+{schedules}
+observe: [well_pressure]
+{limits}
+"""
+
+
+def write_study(
+    folder: Path,
+    steps: Iterable[Sequence[float]],
+    *,
+    last: float = 30.0,
+    seconds: float = 1e-6,
+    limits: str = "",
+) -> Path:
+    """Write a study over schedules; each has its rates from 0, 10, 20 s … on."""
+
+    def schedule(rates: Sequence[float]) -> str:
+        return ", ".join(f"[{10 * k} s, {rate} m3/s]" for k, rate in enumerate(rates))
+
+    lines = "\n".join(f"      - [{schedule(rates)}]" for rates in steps)
+    path = folder / "marched.yaml"
+    bound = f"limits: {limits}" if limits else ""
+    path.write_text(TEXT.format(schedules=lines, last=last, seconds=seconds, limits=bound))
+    return path
 
 
 class Leg(NamedTuple):

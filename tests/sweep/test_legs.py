@@ -28,25 +28,6 @@ from tests.sweep import marches, toys
 from tests.sweep.toy_stages import DIARY
 from tests.sweep.toy_stages import pack as toy_pack
 
-TEXT = """
-study: marched
-title: Marched
-scene:
-  region: {{shape: rectangle, width: 14 m, height: 14 m}}
-  grains: {{count: 50, porosity: 0.17, seed: 1}}
-  matrix: {{permeability: 1 mD}}
-  fluid: {{viscosity: {seconds} Pa s, bulk_modulus: 1 GPa}}
-  wells: {{producer: {{at: [0 m, 0 m], radius: 1 m, schedule: [[0 s, 1 m3/s]]}}}}
-  boundaries: {{left: 7 MPa}}
-  initial_pressure: 7 MPa
-  times: [1 s, 5 s, 15 s, 25 s, {last} s]
-vary:
-  schedule:
-    parameter: wells.producer.schedule
-    values:
-{schedules}
-observe: [well_pressure]
-"""
 STEPS = {  # rates from 0, 10 and 20 s on
     "a": (1.0, 2.0, 3.0),
     "b": (1.0, 2.0, 0.0),
@@ -57,13 +38,7 @@ BEGINNINGS = {rates[:k] for rates in STEPS.values() for k in (1, 2, 3)}
 
 
 def write(folder: Path, steps=STEPS, last: float = 30.0, seconds: float = 1e-6) -> Path:
-    def schedule(rates):
-        return ", ".join(f"[{10 * k} s, {rate} m3/s]" for k, rate in enumerate(rates))
-
-    lines = "\n".join(f"      - [{schedule(rates)}]" for rates in steps.values())
-    path = folder / "marched.yaml"
-    path.write_text(TEXT.format(schedules=lines, last=last, seconds=seconds))
-    return path
+    return marches.write_study(folder, steps.values(), last=last, seconds=seconds)
 
 
 def run(path: Path, table: str = marches.TOY, **options) -> engine.Finished:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import os
 import sys
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from demflow.sweep import prepared as preparing
 from demflow.sweep.command import cli, upkeep
 
 TABLE = "tests.sweep.toy_stages:STAGES"
+OTHER_TABLE = "DEMFLOW_TOY_TABLE"  # of the environment: the table of a run in a process of its own
 
 TEXT = """
 study: {name}
@@ -86,4 +88,4 @@ _run_study, _prepare = engine.run_study, preparing.prepare
 _unwanted, _collect_study = upkeep.unwanted, engine.collect_study
 
 if __name__ == "__main__":
-    sys.exit(demflow(*sys.argv[1:]))
+    sys.exit(demflow(*sys.argv[1:], table=os.environ.get(OTHER_TABLE, TABLE)))
