@@ -9,10 +9,12 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
-from demflow.sweep.command import cli
+from demflow.sweep import prepared
+from demflow.sweep.command import cli, forecast
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.execution.progress import Progress, ProgressLine, duration, line, size
 from demflow.sweep.store.lock import FolderLock
@@ -376,3 +378,45 @@ def test_of_many_problems_json_has_the_first_and_their_count(tmp_path, capsys):
     told = json.loads(capsys.readouterr().out)
     assert len(told["problems"]) == 100
     assert told["count"] >= 300
+
+
+def test_a_plan_is_held_against_the_machine(good, tmp_path, capsys, monkeypatch):
+    path, results = good
+    toys.demflow("run", str(path), "--results", results)
+    grown = path.parent / "beyond.yaml"
+    grown.write_text(path.read_text().replace("[1.0, 2.0, 3.0]", "[5.0, 6.0, 7.0]"))
+    capsys.readouterr()
+    assert toys.demflow("plan", str(grown), "--results", results, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+    monkeypatch.setattr(forecast, "machine_memory", lambda: 1e6)
+    monkeypatch.setattr(forecast.shutil, "disk_usage", lambda _: SimpleNamespace(free=10))
+    assert toys.demflow("plan", str(grown), "--results", results, "--json") == 0
+    told = capsys.readouterr()
+    disk, memory = json.loads(told.out)["warnings"]
+    assert "of disk are needed and 10 B are free" in disk
+    assert "of memory are needed and the machine has 1.0 MB" in memory
+    assert told.err.count("warning: ") == 2
+
+
+def test_a_plan_counts_what_is_compiled_first(good, tmp_path, capsys, monkeypatch):
+    path, results = good
+    toys.demflow("run", str(path), "--results", results)
+    grown = path.parent / "compiled.yaml"
+    grown.write_text(path.read_text().replace("[1.0, 2.0, 3.0]", "[8.0, 9.0]"))
+    seconds = []
+    for kernels in (1000, 0):
+        monkeypatch.setattr(forecast, "kept_kernels", lambda found=kernels: found)
+        capsys.readouterr()
+        toys.demflow("plan", str(grown), "--results", results, "--json")
+        told = json.loads(capsys.readouterr().out)
+        seconds.append(told["seconds"])
+    assert told["compiling"] == forecast.COMPILING / 2
+    assert seconds[1] - seconds[0] == pytest.approx(told["compiling"])
+
+
+def test_a_long_plan_says_how_far_it_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(prepared, "SILENCE", 0.0)
+    rates = tuple(float(k) for k in range(1, 2002))
+    path = toys.write_study(tmp_path, name="long", seeds=(1,), stresses=(), rates=rates)
+    assert toys.demflow("plan", str(path), "--results", str(tmp_path / "none")) == 0
+    assert "planning: 1,000 of 2,001 cases" in capsys.readouterr().err
