@@ -31,7 +31,7 @@ from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.plan.graph import MODEL
 from demflow.sweep.prepared import Project, prepare
-from demflow.sweep.store.durable import naming
+from demflow.sweep.store.durable import naming, unflushed
 from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.kept import keep_study
 from demflow.sweep.store.lock import FolderLock
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from demflow.sweep.dataset.verdict import Verdict
     from demflow.sweep.execution.ledger import Executed
 
-COLLECTOR = 3  # raise it whenever the dataset made of the same products changes
+COLLECTOR = 4  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
 
@@ -76,6 +76,11 @@ class Finished:
         for message in self.executed.refused if self.executed else ():
             yield f"not used: {message}"
         yield from (*self.notes, *self.drawing)
+        for folder in sorted(unflushed)[:1]:
+            yield (
+                f"the file system of {folder} cannot flush folders: after a power cut the results "
+                "written last may be missing, and are computed again then"
+            )
         if self.changed:
             kept = self.folder / STUDY_FILE
             yield f"the study file has changed meanwhile; the results are those of {kept}"

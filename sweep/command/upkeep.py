@@ -59,7 +59,11 @@ def verify(results: str | Path) -> Verified:
 
 def _verify_datasets(root: Path, *, set_aside: bool) -> Iterator[tuple[Path, str | None]]:
     for path in sorted(root.glob(f"*/{DATASET_FILE}")):
-        problem = dataset_problem(path)
+        try:
+            problem = dataset_problem(path)
+        except OSError as error:
+            yield path, f"it cannot be read: {error.strerror or error}"
+            continue
         if problem and set_aside:
             put_aside(path)
         yield path, problem

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -38,7 +37,9 @@ class Labels:
     """Coordinates of the dataset that the scenes give: times, and names of things."""
 
     times: np.ndarray  # (times,) s, of all cases
-    names: dict[str, dict[str, tuple[float, float]]]  # dimension -> name -> place
+    names: dict[str, tuple[str, ...]]  # dimension -> names
+    probes: list[dict[str, tuple[float, float]]]  # the different places of probes, m, by name
+    probes_of: np.ndarray  # (cases,) index of each case's own; −1 where it cannot be
     observed: tuple[str, ...]
     seeds: tuple[int, ...]
     layouts: list[Layout]  # the different ones
@@ -47,7 +48,9 @@ class Labels:
 
 def labels_of(plan: Plan, scene_of: Callable[[int], Scene]) -> Labels:
     """What all scenes together name. Cases may differ in times, wells, sides and probes."""
-    names: dict[str, dict[str, tuple[float, float]]] = {"well": {}, "boundary": {}, "probe": {}}
+    names: dict[str, dict[str, None]] = {"well": {}, "boundary": {}, "probe": {}}
+    probes: dict[tuple[Any, ...], int] = {}
+    probes_of = np.full(len(plan.cases), -1, dtype=np.int32)
     observed: dict[str, None] = {}
     seeds: set[int] = set()
     layouts: dict[tuple[Any, ...], int] = {}
@@ -59,16 +62,26 @@ def labels_of(plan: Plan, scene_of: Callable[[int], Scene]) -> Labels:
         observed |= dict.fromkeys(scene.observe)
         seeds.add(scene.grains.seed)
         own = {
-            "well": {well.name: well.at for well in scene.wells},
-            "boundary": {side: (math.nan, math.nan) for side, _ in scene.boundaries},
-            "probe": {probe.name: probe.at for probe in scene.probes},
+            "well": tuple(well.name for well in scene.wells),
+            "boundary": tuple(side for side, _ in scene.boundaries),
+            "probe": tuple(probe.name for probe in scene.probes),
         }
-        for dimension, places in own.items():
-            for name, at in places.items():
-                names[dimension].setdefault(name, at)
-        key = (scene.times, *(tuple(places) for places in own.values()))
+        for dimension, named in own.items():
+            names[dimension] |= dict.fromkeys(named)
+        places = tuple((probe.name, probe.at) for probe in scene.probes)
+        probes_of[case] = probes.setdefault(places, len(probes))
+        key = (scene.times, *own.values())
         layout_of[case] = layouts.setdefault(key, len(layouts))
     times = {key[0] for key in layouts}
     every = np.unique(np.concatenate([np.array(t, dtype=float) for t in times] or [np.empty(0)]))
     found = [Layout(key[0], dict(zip(names, key[1:], strict=True))) for key in layouts]
-    return Labels(every, names, tuple(observed), tuple(sorted(seeds)), found, layout_of)
+    return Labels(
+        times=every,
+        names={dimension: tuple(named) for dimension, named in names.items()},
+        probes=[dict(places) for places in probes],
+        probes_of=probes_of,
+        observed=tuple(observed),
+        seeds=tuple(sorted(seeds)),
+        layouts=found,
+        layout_of=layout_of,
+    )

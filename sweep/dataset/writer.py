@@ -52,7 +52,7 @@ class Writer:
         for name, quantity in CASE.items():
             # what was asked for is there, be it NaN in every case
             absent = quantity.transient and len(self.labels.times) == 0
-            absent |= any(self.labels.names.get(d) == {} for d in quantity.dimensions)
+            absent |= any(self.labels.names.get(d) == () for d in quantity.dimensions)
             if set(quantity.needs) & set(self.labels.observed) and not absent:
                 self._variable(name, quantity)
 
@@ -170,12 +170,30 @@ class Writer:
             return self._words(name, FIXED[name])
         if name == "stage":
             return self._words(name, self.stages)
-        places = self.labels.names[name]
-        made = self._words(name, tuple(places))
+        made = self._words(name, self.labels.names[name])
         if name == "probe" and made:
-            for k, beside in enumerate(("probe_x", "probe_y")):
-                self._numbers(beside, name, np.array([at[k] for at in places.values()]))
+            self._probe_places()
         return made
+
+    def _probe_places(self) -> None:
+        """Where the probes lie, along the axes that move them."""
+        names = self.labels.names["probe"]
+        known = np.full((len(self.labels.probes) + 1, len(names), 2), math.nan)
+        for k, places in enumerate(self.labels.probes):
+            for name, at in places.items():
+                known[k, names.index(name)] = at
+        # an index of −1, of a case that cannot be, finds the row of NaN at the end
+        at = known[self.labels.probes_of].reshape(*self.study.shape, len(names), 2)
+        along = list(self.axes)
+        for number in reversed(range(len(along))):
+            high, low = np.fmax.reduce(at, axis=number), np.fmin.reduce(at, axis=number)
+            if np.array_equal(high, low, equal_nan=True):
+                at = high
+                del along[number]
+        for k, name in enumerate(("probe_x", "probe_y")):
+            variable = self.file.createVariable(name, "f8", (*along, "probe"), fill_value=False)
+            variable.setncatts(quantity_attributes(COORDINATES[name]))
+            variable[...] = at[..., k]
 
     def _numbers(self, name: str, dimension: str, values: np.ndarray) -> bool:
         if not len(values):
@@ -232,7 +250,7 @@ class Writer:
             return np.searchsorted(self.labels.times, np.array(own.times, dtype=float))
         if dimension in FIXED:
             return np.arange(len(FIXED[dimension]))
-        every = list(self.labels.names[dimension])
+        every = self.labels.names[dimension]
         return np.array([every.index(name) for name in own.names[dimension]], dtype=int)
 
 

@@ -8,6 +8,7 @@ whole (`syncfs`, which reports failed writes since Linux 5.8), two such calls se
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import sys
 from collections.abc import Collection, Iterator, Mapping
@@ -18,6 +19,9 @@ from typing import IO, Any
 
 FEW = 2  # files that are flushed one by one
 REPORTS_ERRORS = (5, 8)  # Linux whose syncfs tells of failed writes
+# what file systems answer that cannot flush a folder, as some of networks and user space
+CANNOT_FLUSH = (errno.EINVAL, errno.ENOTSUP, errno.ENOSYS, errno.EBADF)
+unflushed: set[str] = set()  # folders of this process that could not be flushed
 FOREIGN_BYTES = 256_000_000  # not yet written by others: a flush of everything would wait for it
 
 
@@ -107,9 +111,14 @@ def _flush_folders(folders: Collection[Path], opened: list[IO[Any]]) -> None:
 
 
 def _flush_folder(path: Path) -> None:
+    """Flush a folder, so that new names in it survive; not where its file system cannot do so."""
     folder = os.open(path, os.O_RDONLY)
     try:
         os.fsync(folder)
+    except OSError as error:
+        if error.errno not in CANNOT_FLUSH:
+            raise
+        unflushed.add(str(path))
     finally:
         os.close(folder)
 

@@ -19,13 +19,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
+import stat
 import struct
 from collections.abc import Container, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 
@@ -35,6 +37,7 @@ from demflow.sweep.store.durable import write_all_durably, write_durably
 MAGIC = b"demflow1"
 _PREFIX = struct.Struct("<8sQ32s")
 _ALIGNMENT = 64
+PIECE = 1 << 20  # bytes that are read at once
 _KINDS = "biufcUS"  # numbers and text: no objects, nothing that would be executed
 _HEX = set("0123456789abcdef")
 FAILURES = frozenset(Status) - {Status.DONE, Status.NOT_RUN}  # what a record of a failure tells
@@ -94,10 +97,9 @@ def _unpacked(content: bytes) -> Stored:
         raise DamagedError("the data differ from what was written")
     arrays = {}
     for name, dtype, shape, offset in header["arrays"]:
-        if dtype[1:2] not in _KINDS:
-            raise DamagedError(f"the array {name} is of {dtype}, which is no plain data")
-        kind = np.dtype(dtype)
-        count = int(np.prod(shape, dtype=np.int64))
+        kind, count = _plain_kind(name, dtype), math.prod(shape)
+        if offset + count * kind.itemsize > len(payload):
+            raise DamagedError(f"the array {name} reaches beyond the end of the file")
         # copied, hence aligned and writable, as it came from the stage: kernels compile
         # anew for any other layout
         flat = np.frombuffer(payload, kind, count, offset) if count else np.empty(0, kind)
@@ -172,13 +174,13 @@ class Store:
         Raises MissingError where it is not there, DamagedError where it is not what was
         written; the damaged file is set aside then, so that the product counts as missing.
         """
-        with self._reading(identity) as path:
-            return _of(identity, unpack(path.read_bytes()))
+        with self._reading(identity) as path, _whole_file(path) as file:
+            return _of(identity, unpack(file.read()))
 
     def content(self, identity: str) -> bytes:
         """Return a product as the bytes of its file, its hash checked. Raises as `get` does."""
-        with self._reading(identity) as path:
-            content = path.read_bytes()
+        with self._reading(identity) as path, _whole_file(path) as file:
+            content = file.read()
             _of(identity, unpack(content))
             return content
 
@@ -232,6 +234,8 @@ class Store:
         except DamagedError as error:
             put_aside(path)
             raise DamagedError(f"{path}: {error}") from None
+        except OSError as error:
+            raise OSError(error.errno, error.strerror or str(error), str(path)) from error
 
     def files(self) -> Iterator[Path]:
         """Every product and every record of a failure."""
@@ -244,23 +248,37 @@ class Store:
                 yield path
 
     def _files(self, *suffixes: str) -> Iterator[Path]:
-        for folder in sorted(self.root.glob("[0-9a-f][0-9a-f]")):
+        for folder in self._folders():
             yield from sorted(p for p in folder.iterdir() if p.suffix in suffixes)
+
+    def _folders(self) -> list[Path]:
+        """Those of the products, by the first digits of their identities."""
+        return sorted(f for f in self.root.glob("[0-9a-f][0-9a-f]") if f.is_dir())
 
     def verify(self, *, set_aside: bool = True) -> Iterator[tuple[Path, str | None]]:
         """Re-hash every file: its path, and what is wrong with it or None.
 
         Damaged files are set aside if wished, so that the next run computes them again.
         """
-        for path in self.files():
+        for folder in self._folders():
             try:
-                _of(path.stem, unpack(path.read_bytes()))
-            except DamagedError as error:
-                if set_aside:
-                    put_aside(path)
-                yield path, str(error)
-            else:
-                yield path, None
+                paths = sorted(folder.iterdir())
+            except OSError as error:
+                yield folder, _unreadable(error)
+                continue
+            for path in paths:
+                if path.suffix not in (".product", ".failed"):
+                    continue
+                try:
+                    check_file(path)
+                except DamagedError as error:
+                    if set_aside:
+                        put_aside(path)
+                    yield path, str(error)
+                except OSError as error:
+                    yield path, _unreadable(error)
+                else:
+                    yield path, None
 
     def remove_partial(self) -> int:
         """Remove what interrupted writers left; return how many. Only under the folder's lock."""
@@ -270,6 +288,50 @@ class Store:
                 path.unlink()
                 count += 1
         return count
+
+
+def check_file(path: Path) -> None:
+    """Re-hash a file of the store, a piece at a time, and check the arrays that it names.
+
+    Raises DamagedError where it is not what was written, or is no file; OSError.
+    """
+    with _whole_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        content = file.read(_PREFIX.size)
+        if len(content) == _PREFIX.size:
+            content += file.read(min(_PREFIX.unpack(content)[1], size))
+        header, start = _header(content)
+        _of(path.stem, Stored({}, header["meta"]))
+        digest = hashlib.sha256()
+        while piece := file.read(PIECE):
+            digest.update(piece)
+    if digest.hexdigest() != header["payload"]:
+        raise DamagedError("the data differ from what was written")
+    for name, kind, shape, offset in header["arrays"]:
+        if start + offset + math.prod(shape) * _plain_kind(name, kind).itemsize > size:
+            raise DamagedError(f"the array {name} reaches beyond the end of the file")
+
+
+def _whole_file(path: Path) -> IO[bytes]:
+    """Open a file of the store. Raises DamagedError where it is none: a pipe would never end."""
+    if not stat.S_ISREG(os.stat(path).st_mode):
+        raise DamagedError("it is no file")
+    return open(path, "rb")
+
+
+def _plain_kind(name: str, kind: str) -> np.dtype[Any]:
+    """The type of an array by its name. Raises DamagedError where it is no plain data."""
+    try:
+        found = np.dtype(kind)
+    except (TypeError, ValueError) as error:
+        raise DamagedError(f"the array {name} is of {kind}, which is unknown") from error
+    if found.kind not in _KINDS or found.names is not None:
+        raise DamagedError(f"the array {name} is of {kind}, which is no plain data")
+    return found
+
+
+def _unreadable(error: OSError) -> str:
+    return f"it cannot be read: {error.strerror or error}"
 
 
 def put_aside(path: Path) -> None:
@@ -291,11 +353,20 @@ def _header(content: bytes) -> tuple[dict[str, Any], int]:
     header = content[_PREFIX.size : start]
     if len(header) != length or hashlib.sha256(header).digest() != digest:
         raise DamagedError("the header differs from what was written")
-    return json.loads(header), start
+    try:
+        told = json.loads(header)
+        entries = [(str(n), str(d), [int(k) for k in s], int(o)) for n, d, s, o in told["arrays"]]
+        parts = {"arrays": entries, "meta": dict(told["meta"]), "payload": str(told["payload"])}
+    except (ValueError, TypeError, KeyError, RecursionError) as error:
+        raise DamagedError("the header is none of a product") from error
+    listed = all(isinstance(shape, list) for _, _, shape, _ in told["arrays"])
+    if not listed or any(k < 0 for _, _, shape, offset in entries for k in (*shape, offset)):
+        raise DamagedError("the header is none of a product")
+    return parts, start
 
 
 def _read_meta(path: Path) -> dict[str, Any]:
-    with open(path, "rb") as file:
+    with _whole_file(path) as file:
         content = file.read(_PREFIX.size)
         if len(content) == _PREFIX.size:
             length = _PREFIX.unpack(content)[1]

@@ -266,3 +266,23 @@ def test_a_study_without_axes_is_one_case(tmp_path):
     assert (dataset.status.item(), dataset.message.item()) == (Status.DONE, "")
     assert dataset.well_pressure.dims == ("well", "elapsed_time")
     assert np.isfinite(dataset.well_pressure).all()
+
+
+MOVING = """
+  probes: {still: {at: [1 m, 2 m]}, moved: {at: [0 m, 0 m]}}
+"""
+
+
+def test_a_probe_that_moves_along_an_axis_tells_where_it_is(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(), rates=(1.0, 2.0))
+    text = path.read_text().replace("  initial_pressure", f"{MOVING[1:]}  initial_pressure")
+    axis = "  place: {parameter: probes.moved.at, values: [[0 m, 1 m], [3 m, 1 m]]}\nobserve"
+    text = text.replace("observe", axis, 1).replace("[well_pressure]", "[probe_pressure]")
+    path.write_text(text)
+    dataset = open_results(toys.run(path, tmp_path / "results").folder)
+    assert dataset.probe_x.dims == ("place", "probe")
+    assert dataset.probe_y.dims == ("place", "probe")
+    assert dataset.probe_x.sel(probe="moved").values.tolist() == [0.0, 3.0]
+    assert dataset.probe_x.sel(probe="still").values.tolist() == [1.0, 1.0]
+    assert dataset.probe_y.values.tolist() == [[2.0, 1.0], [2.0, 1.0]]
+    assert {"probe_x", "probe_y"} <= set(dataset.probe_pressure.coords)
