@@ -9,6 +9,7 @@ import numpy as np
 
 from demflow.model.controls import controls_of
 from demflow.model.history import superposed_map
+from demflow.model.network.domains import domains_at
 from demflow.model.products import Apertures, Network, Packing, StressState
 from demflow.model.quantities import MAPS, TESTS
 from demflow.model.scene import Scene
@@ -40,24 +41,39 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
     trace = opened.on_fracture[pipe]
     fracture = np.full(len(pipe), -1)
     fracture[trace >= 0] = opened.trace_fracture[trace[trace >= 0]]
+    at = np.column_stack([opened.node_x, opened.node_y])
+    pore = number[domains_at(net, at)] if len(at) else np.empty(0, dtype=np.int64)
     maps = {
         "x": net.x[domain],
         "y": net.y[domain],
         "volume": opened.volume[domain],
-        "aperture": opened.aperture[pipe],
-        "conductance": opened.conductance[pipe],
-        "from_domain": number[start],
-        "to_domain": number[end],
-        "on_fracture": fracture,
-        **_throats(net, pipe),
+        # a branch of a trace is a pipe between the pores in which its ends lie
+        "aperture": np.append(opened.aperture[pipe], opened.branch_aperture),
+        "conductance": np.append(opened.conductance[pipe], opened.branch_conductance),
+        "from_domain": np.append(number[start], pore[opened.branch_a]),
+        "to_domain": np.append(number[end], pore[opened.branch_b]),
+        "on_fracture": np.append(fracture, opened.trace_fracture[opened.branch_line]),
+        **_throats(net, opened, pipe),
         **_mesh(net, domain),
         **_sources(scene),
         **_traces(scene, opened),
     }
+    if len(at):
+        maps |= {
+            "fracture_node_x": opened.node_x,
+            "fracture_node_y": opened.node_y,
+            "branch_from": opened.branch_a,
+            "branch_to": opened.branch_b,
+            "branch_fracture": opened.trace_fracture[opened.branch_line],
+            "branch_aperture": opened.branch_aperture,
+        }
     if "pressure_map" in scene.observe:
         controls = controls_of(scene)
         pressure = superposed_map(products["flow"], controls)
-        maps["pressure"] = pressure if controls.transient else pressure[0]
+        pressure = pressure if controls.transient else pressure[0]
+        maps["pressure"] = pressure[..., : len(domain)]
+        if len(at):
+            maps["fracture_node_pressure"] = pressure[..., len(domain) :]
     if "grain_map" in scene.observe:
         state: StressState | None = products.get("stress")
         packing: Packing = products["pack"]
@@ -77,13 +93,19 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
     return maps
 
 
-def _throats(net: Network, pipe: np.ndarray) -> dict[str, np.ndarray]:
-    """Where some pipes are narrowest: between the rims of their two grains."""
+def _throats(net: Network, opened: Apertures, pipe: np.ndarray) -> dict[str, np.ndarray]:
+    """Where some pipes are narrowest: between the rims of their two grains; middles of branches."""
     a, b = net.pipe_grain_a[pipe], net.pipe_grain_b[pipe]
     share = net.grain_radius[a] / (net.grain_radius[a] + net.grain_radius[b])
     return {
-        f"pipe_{axis}": centre[a] + share * (centre[b] - centre[a])
-        for axis, centre in (("x", net.grain_x), ("y", net.grain_y))
+        f"pipe_{axis}": np.append(
+            centre[a] + share * (centre[b] - centre[a]),
+            0.5 * (node[opened.branch_a] + node[opened.branch_b]),
+        )
+        for axis, centre, node in (
+            ("x", net.grain_x, opened.node_x),
+            ("y", net.grain_y, opened.node_y),
+        )
     }
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from demflow.model.flow.linear.factor import analyse, factorise, solve
 from demflow.model.network.apertures import uniform
 from demflow.model.network.connectivity import reached
+from demflow.model.network.fractures.subdivide import cuts_of, subdivide
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network, Permeability
 
@@ -14,56 +15,116 @@ from demflow.model.products import Apertures, Network, Permeability
 def permeability(network: Network, apertures: Apertures, *, viscosity: float) -> np.ndarray:
     """Permeability tensor (2, 2) in m² of the region.
 
-    Pressure p = −x, then p = −y, is imposed along the whole rim, so that the mean gradient
-    is exactly −1 along either axis and k_ab = μ Σ g Δp_a Δp_b / A (Hill's lemma): the
-    dissipation of the pipes inside, and of the half of each cut pipe that belongs to the
-    pore inside, over the area of the polygons. Symmetric to round-off, and exact wherever
-    the pressure is linear. Wells are left out.
+    Pressure p = −x, then p = −y, is imposed along the whole rim, also where traces leave it, so
+    that the mean gradient is exactly −1 along either axis and k = μ D / A (Hill's lemma) with the
+    dissipation D_ab = Σ g Δp_a Δp_b of everything up to the rim. The area is that of the same
+    pipes and parts of pipes, a tensor that is A times the identity but for the pores that the rim
+    cuts: see `_spanned`. Symmetric, positive, and exact wherever pressure is linear. Wells are
+    left out.
 
     Raises `ModelError` where no pipe conducts.
     """
-    nodes = np.flatnonzero(network.inside)
-    number = np.full(len(network.x), -1)
-    number[nodes] = np.arange(len(nodes))
+    d, m = len(network.x), len(apertures.node_x)
     within = (
         network.inside[network.pipe_from]
         & network.inside[network.pipe_to]
         & (apertures.conductance > 0.0)
     )
-    i, j = number[network.pipe_from[within]], number[network.pipe_to[within]]
-    g = apertures.conductance[within]
-    rim = number[network.cut_inside]
-    rim_g = apertures.cut_conductance
-
-    held = reached(len(nodes), i, j, rim[rim_g > 0.0])
-    if not held.any():
+    pipe, cut = np.flatnonzero(within), np.flatnonzero(apertures.cut_conductance > 0.0)
+    t = network.cut_fraction
+    inner, outer = network.cut_inside, network.cut_outside
+    # places are pores, then nodes of traces, then one on the rim for each pipe that it cuts
+    x = np.concatenate(
+        [network.x, apertures.node_x, network.x[inner] + t * (network.x[outer] - network.x[inner])]
+    )
+    y = np.concatenate(
+        [network.y, apertures.node_y, network.y[inner] + t * (network.y[outer] - network.y[inner])]
+    )
+    held = np.zeros(len(x), dtype=bool)
+    held[d : d + m] = apertures.node_side[:, 0] >= 0
+    held[d + m :] = True
+    cuts = cuts_of(
+        apertures,
+        np.append(pipe, network.cut[cut]),
+        np.append(
+            np.zeros(len(pipe), dtype=bool), network.inside[network.pipe_to[network.cut[cut]]]
+        ),
+        np.append(np.ones(len(pipe)), t[cut]),
+    )
+    a, b, g = subdivide(
+        np.append(network.pipe_from[pipe], inner[cut]),
+        np.append(network.pipe_to[pipe], d + m + cut),
+        np.append(apertures.conductance[pipe], apertures.cut_conductance[cut]),
+        cuts,
+        d,
+    )
+    a = np.append(a, d + apertures.branch_a)
+    b = np.append(b, d + apertures.branch_b)
+    g = np.append(g, apertures.branch_conductance)
+    conducts = (a != b) & (g > 0.0)
+    a, b, g = a[conducts], b[conducts], g[conducts]
+    # parts that the rim does not reach carry nothing
+    moved = reached(len(x), a, b, np.flatnonzero(held))
+    if not np.any(moved[a] & ~held[a]):
         raise ModelError(
             "no conducting pipe reaches the rim, so there is no permeability to measure; give the "
             "matrix an aperture"
         )
-    # pores that the rim does not reach carry nothing; any finite pressure serves them
-    excess = np.bincount(rim, weights=rim_g, minlength=len(nodes)) + ~held
-    t = network.cut_fraction
-    inner, outer = network.cut_inside, network.cut_outside
-    rim_x = network.x[inner] + t * (network.x[outer] - network.x[inner])
-    rim_y = network.y[inner] + t * (network.y[outer] - network.y[inner])
-    rhs = np.column_stack(
-        [
-            np.bincount(rim, weights=-rim_g * rim_x, minlength=len(nodes)),
-            np.bincount(rim, weights=-rim_g * rim_y, minlength=len(nodes)),
-        ]
-    )
-    p = solve(factorise(analyse(len(nodes), i, j), g, excess), rhs)
+    p = _steady(a, b, g, np.column_stack([-x, -y]), held, moved)
+    drop = p[a] - p[b]
+    dissipation = viscosity * (drop.T @ (g[:, None] * drop))
+    values, axes = np.linalg.eigh(_spanned(network))
+    scale = (axes / np.sqrt(values)) @ axes.T
+    tensor = scale @ dissipation @ scale
+    return np.asarray(0.5 * (tensor + tensor.T))
 
-    drop = p[i] - p[j]
-    rim_drop = p[rim] + np.column_stack([rim_x, rim_y])
-    # the half that belongs to the pore inside is 1 / (2t) of the part up to the rim; along a
-    # fracture that part is measured on the trace and taken as it is
-    half = np.where(apertures.on_fracture[network.cut] >= 0, 1.0, 0.5 / t)
-    dissipation = drop.T @ (g[:, None] * drop)
-    dissipation += rim_drop.T @ ((half * rim_g)[:, None] * rim_drop)
-    tensor = viscosity * dissipation / network.area[nodes].sum()
-    return 0.5 * (tensor + tensor.T)
+
+def _steady(
+    a: np.ndarray,
+    b: np.ndarray,
+    g: np.ndarray,
+    imposed: np.ndarray,
+    held: np.ndarray,
+    moved: np.ndarray,
+) -> np.ndarray:
+    """Pressures (n, 2) that balance connections (a, b, g), as imposed at the places held."""
+    free = np.flatnonzero(moved & ~held)
+    number = np.full(len(held), -1)
+    number[free] = np.arange(len(free))
+    between = (number[a] >= 0) & (number[b] >= 0)
+    excess, rhs = np.zeros(len(free)), np.zeros((len(free), 2))
+    for one, other in ((a, b), (b, a)):
+        link = (number[one] >= 0) & held[other]
+        node = number[one[link]]
+        excess += np.bincount(node, weights=g[link], minlength=len(free))
+        for axis in (0, 1):
+            load = g[link] * imposed[other[link], axis]
+            rhs[:, axis] += np.bincount(node, weights=load, minlength=len(free))
+    i, j = number[a[between]], number[b[between]]
+    p = np.where(held[:, None], imposed, 0.0)
+    p[free] = solve(factorise(analyse(len(free), i, j), g[between], excess), rhs)
+    return p
+
+
+def _spanned(network: Network) -> np.ndarray:
+    """Area (2, 2) of the rock that the pipes up to the rim span, m².
+
+    Σ Δ ⊗ N over pipes, Δ from centroid to centroid and N the edge between their polygons turned
+    outwards, is A times the identity for polygons that tile A; of a pipe that the rim cuts the
+    part inside counts. On lattices it is the dissipation of a linear pressure but for a factor,
+    however the rim cuts them.
+    """
+    i, j = network.pipe_from, network.pipe_to
+    a, b = network.pipe_grain_a, network.pipe_grain_b
+    part = (network.inside[i] & network.inside[j]).astype(float)
+    part[network.cut] = network.cut_fraction
+    step = np.column_stack([network.x[j] - network.x[i], network.y[j] - network.y[i]])
+    edge = np.column_stack(
+        [network.grain_y[b] - network.grain_y[a], network.grain_x[a] - network.grain_x[b]]
+    )
+    outwards = np.where(np.einsum("ij,ij->i", step, edge) < 0.0, -part, part)
+    area = step.T @ (outwards[:, None] * edge)
+    return np.asarray(0.5 * (area + area.T))
 
 
 def unit_permeability(network: Network) -> np.ndarray:

@@ -163,22 +163,66 @@ class Network(NamedTuple):
     crossing_edges: Array  # () contacts dropped because they crossed another
 
 
+class Walk(NamedTuple):
+    """Where the lines that act on flow run on the network; nothing of how wide they are.
+
+    Traces have m nodes of their own, joined by e branches. Of a pipe, a fraction is counted from
+    the centroid of `pipe_from` to that of `pipe_to`.
+    """
+
+    line_start: Array  # (lines, 2) m, after clipping to the region
+    line_end: Array  # (lines, 2) m
+    node_x: Array  # (m,) m
+    node_y: Array  # (m,) m
+    node_side: Array  # (m, 2) sides of the region where the trace leaves it there, −1 none
+    branch_a: Array  # (e,) node; both ends are one where the branch leads to a tip alone
+    branch_b: Array  # (e,)
+    branch_length: Array  # (e,) m
+    branch_line: Array  # (e,)
+    cross_pipe: Array  # (c,) pipes that traces cross
+    cross_fraction: Array  # (c,)
+    cross_node: Array  # (c,)
+    cross_line: Array  # (c,)
+    wall_pipe: Array  # (q,) pipes that barriers cut
+    wall_fraction: Array  # (q,)
+    wall_length: Array  # (q,) m of the barrier that meets the pipe
+    wall_line: Array  # (q,)
+    cut_branch: Array  # (r,) branches that barriers cut
+    cut_line: Array  # (r,)
+    chain_pipe: Array  # (k,) pipes along fractures of given permeability
+    chain_line: Array  # (k,)
+    chain_domain: Array  # (h,) pores along them
+    chain_domain_line: Array  # (h,)
+    chain_storage: Array  # (h,) m of the line that each of these pores stands for
+
+
 class Apertures(NamedTuple):
-    """Open pipes: aperture, conductance and fractures."""
+    """Open pipes: aperture, conductance and fractures, these as lines of the walk."""
 
     aperture: Array  # (p,) m
-    conductance: Array  # (p,) m³/(s Pa) per metre of depth, Eq. 1
+    conductance: Array  # (p,) m³/(s Pa) per metre of depth, Eq. 1; a pipe that is cut as a whole
     volume: Array  # (d,) pore volume after fractures handed theirs over, m³ per m
-    on_fracture: Array  # (p,) index of the trace that a pipe runs along, −1 in the matrix
+    on_fracture: Array  # (p,) index of the line that a pipe runs along, −1 in the matrix
     cut_conductance: Array  # (b,) between the domain inside and the rim, m³/(s Pa)
-    trace_start: Array  # (traces, 2) m, after clipping to the region
-    trace_end: Array  # (traces, 2) m
-    trace_fracture: Array  # (traces,) index of the fracture in the scene
-    trace_transmissivity: Array  # (traces,) T = w³/(12 μ), m³/(s Pa), 0 unless it is calibrated
-    trace_pipes: Array  # (traces,) number of pipes along it; 0: shorter than a pore
-    trace_acts: Array  # (traces,) number of pipes that it widened, or as a barrier throttled
-    pipe_trace_from: Array  # (p,) m: place of pipe_from along its calibrated trace, else NaN
-    pipe_trace_to: Array  # (p,) m
+    trace_start: Array  # (lines, 2) m, after clipping to the region
+    trace_end: Array  # (lines, 2) m
+    trace_fracture: Array  # (lines,) index of the fracture in the scene
+    trace_pipes: Array  # (lines,) number of pipes that it crosses or runs along
+    trace_acts: Array  # (lines,) number of pipes and branches that it changed
+    node_x: Array  # (m,) m: nodes of the traces
+    node_y: Array  # (m,) m
+    node_side: Array  # (m, 2) sides of the region where the trace leaves it there, −1 none
+    node_volume: Array  # (m,) m³ per m: aperture times length
+    branch_a: Array  # (e,) node
+    branch_b: Array  # (e,) node
+    branch_line: Array  # (e,)
+    branch_length: Array  # (e,) m
+    branch_aperture: Array  # (e,) m, hydraulic
+    branch_conductance: Array  # (e,) T / Δs with T = w³ / (12 μ), m³/(s Pa)
+    cross_pipe: Array  # (c,) pipes that traces and barriers cut, sorted by pipe and fraction
+    cross_fraction: Array  # (c,) from the centroid of pipe_from to that of pipe_to
+    cross_node: Array  # (c,) node of the trace, −1 at a barrier
+    cross_resistance: Array  # (c,) Pa s/m³ of the barrier, 0 at a trace
     matrix_aperture: Array  # () w0, m
 
 

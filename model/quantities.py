@@ -326,7 +326,13 @@ MAPS: dict[str, Quantity] = {
     "conductance": Quantity("m3 s-1 Pa-1", ("pipe",), "conductance of the pipe for unit depth"),
     "from_domain": Quantity("1", ("pipe",), "domain at one end of the pipe"),
     "to_domain": Quantity("1", ("pipe",), "domain at the other end, -1 outside"),
-    "on_fracture": Quantity("1", ("pipe",), "index of the fracture the pipe runs along, -1 none"),
+    "on_fracture": Quantity(
+        "1",
+        ("pipe",),
+        "index of the fracture the pipe runs along, -1 none",
+        comment="branches of traces with an aperture are the last pipes, between the domains in "
+        "which their ends lie",
+    ),
     "pipe_x": Quantity("m", ("pipe",), "x of the narrowest place", standard_name=X_NAME),
     "pipe_y": Quantity("m", ("pipe",), "y of the narrowest place", standard_name=Y_NAME),
     "well": Quantity("", ("well",), "well", text=True),
@@ -339,6 +345,19 @@ MAPS: dict[str, Quantity] = {
     "trace_to_x": Quantity("m", ("trace",), "x of the end of a trace as it was meant"),
     "trace_to_y": Quantity("m", ("trace",), "y of the end of a trace as it was meant"),
     "trace_fracture": Quantity("1", ("trace",), "index of the fracture that the trace is of"),
+    "fracture_node_x": Quantity("m", ("fracture_node",), "x of a node of the traces"),
+    "fracture_node_y": Quantity("m", ("fracture_node",), "y of a node of the traces"),
+    "fracture_node_pressure": Quantity(
+        "Pa",
+        ("elapsed_time", "fracture_node"),
+        "pressure in the fracture at the node",
+        ("pressure_map",),
+        comment=SUPERPOSED,
+    ),
+    "branch_from": Quantity("1", ("branch",), "node at one end of the branch of a trace"),
+    "branch_to": Quantity("1", ("branch",), "node at its other end"),
+    "branch_fracture": Quantity("1", ("branch",), "index of the fracture that it belongs to"),
+    "branch_aperture": Quantity("m", ("branch",), "hydraulic aperture of the branch"),
     "grain_x": Quantity(
         "m", ("grain",), "x of the grain centre", ("grain_map",), standard_name=X_NAME
     ),

@@ -14,6 +14,9 @@ import numpy.typing as npt
 
 from demflow.model.parameters import SceneError, check_fields, parameter
 
+# A point of the rim nearer to a second side than this part of the extent is a corner.
+CORNER = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class Rectangle:
@@ -212,6 +215,30 @@ def narrowest(region: Polygon) -> tuple[float, int, int]:
             middle = corners[k] + 0.5 * (low[m] + high[m]) * along + 0.5 * across[m] * inward
             if across[m] < found[0] and contains(region, middle[None])[0]:
                 found = (float(across[m]), k, int(m))
+    return found
+
+
+def sides_at(region: Region, points: np.ndarray) -> np.ndarray:
+    """Sides of the region on which points (n, 2) of its rim lie, (n, 2) into `region.sides`.
+
+    The nearest side, and the next one where the point is their corner, else −1.
+    """
+    points = np.asarray(points, dtype=float).reshape(-1, 2)
+    found = np.full((len(points), 2), -1)
+    if len(points) == 0:
+        return found
+    if isinstance(region, Circle):
+        found[:, 0] = 0
+        return found
+    corners = np.asarray(region.vertices, dtype=float)
+    start, edge = corners[None, :, :], (np.roll(corners, -1, axis=0) - corners)[None, :, :]
+    along = np.sum((points[:, None, :] - start) * edge, axis=2) / np.sum(edge**2, axis=2)
+    nearest = start + np.clip(along, 0.0, 1.0)[:, :, None] * edge
+    away = np.linalg.norm(points[:, None, :] - nearest, axis=2)
+    order = np.argsort(away, axis=1, kind="stable")[:, :2]
+    found[:, 0] = order[:, 0]
+    corner = np.take_along_axis(away, order[:, 1:], axis=1)[:, 0] <= CORNER * np.ptp(corners)
+    found[corner, 1] = order[corner, 1]
     return found
 
 

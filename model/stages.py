@@ -37,9 +37,10 @@ from demflow.model.products import (
     StrengthTest,
     StressState,
     UnitLoads,
+    Walk,
 )
 from demflow.model.quantities import checked
-from demflow.model.scene import Bonds, Scene, joint_lines, refined_places
+from demflow.model.scene import Bonds, Scene, flow_lines, joint_lines, refined_places
 
 if TYPE_CHECKING:
     from demflow.model.flow.solvers.registry import flow
@@ -49,6 +50,7 @@ if TYPE_CHECKING:
     from demflow.model.mechanics.packing.packing import pack
     from demflow.model.network.apertures import open_pipes as open
     from demflow.model.network.domains import network
+    from demflow.model.network.fractures.walk import walk
     from demflow.model.observe import observe
 
 __all__ = [
@@ -63,6 +65,7 @@ __all__ = [
     "strength",
     "stress",
     "unit_loads",
+    "walk",
 ]
 
 
@@ -271,17 +274,29 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="calibrate",
         function="demflow.model.permeability:calibrate",
-        version=2,
+        version=3,
         parents=("network",),
         reads={},
         wanted=_needs_permeability,
         product=Permeability,
     ),
     Stage(
+        name="walk",
+        function="demflow.model.network.fractures.walk:walk",
+        version=1,
+        parents=("network",),
+        reads={
+            "region": lambda s: s.region,
+            "lines": lambda s: flow_lines(s.fractures, s.region),
+        },
+        wanted=lambda s: s.porous and any(f.acts_on_flow for f in s.fractures),
+        product=Walk,
+    ),
+    Stage(
         name="open",
         function="demflow.model.network.apertures:open_pipes",
         version=2,
-        parents=("network", "stress", "calibrate"),
+        parents=("network", "walk", "stress", "calibrate"),
         reads={
             "region": lambda s: s.region,
             "matrix": lambda s: s.matrix,
@@ -294,7 +309,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="measure",
         function="demflow.model.permeability:measure",
-        version=2,
+        version=3,
         parents=("network", "open"),
         reads={"viscosity": _viscosity},
         wanted=lambda s: s.needs("measure"),

@@ -13,10 +13,11 @@ from demflow.model.flow.solvers.registry import flow
 from demflow.model.history import superposed
 from demflow.model.network.apertures import open_pipes
 from demflow.model.network.domains import network
+from demflow.model.network.fractures.walk import walk
 from demflow.model.observe import observe_flow
 from demflow.model.products import Apertures, Network, Packing, Permeability, Responses
 from demflow.model.region import Region
-from demflow.model.scene import Fracture, Matrix, Probe, Well
+from demflow.model.scene import Fracture, Matrix, Probe, Well, flow_lines
 
 
 class Reservoir(NamedTuple):
@@ -101,8 +102,10 @@ def reservoir(
 ) -> Reservoir:
     """A packing made into an open network whose matrix has one aperture."""
     net = network(packing, region=region)
+    lines = flow_lines(fractures, region)
     opened = open_pipes(
         net,
+        walk(net, region=region, lines=lines) if lines else None,
         None,
         unit_permeability,
         region=region,

@@ -121,7 +121,14 @@ def test_an_output_runs_the_stages_that_it_needs_and_no_flow_or_test_besides(nam
     scene = changed(observe=(name,))
     run = {stage.name for stage in STAGES if stage.wanted(scene)}
     assert set(OBSERVABLES[name]) | {"pack", "observe"} <= run
-    always = {"pack", "unit_loads", "stress", "calibrate", "observe"}  # or as the scene has it
+    always = {
+        "pack",
+        "unit_loads",
+        "stress",
+        "calibrate",
+        "walk",
+        "observe",
+    }  # or as the scene has it
     assert run - always == set(OBSERVABLES[name])
 
 
@@ -144,6 +151,7 @@ READS = {
     | {"grains.seed", "joint"},
     "network": {"region"},
     "calibrate": set(),
+    "walk": {"region", "fractures"},
     "open": {"region", "matrix", "fractures", "joint", "viscosity"},
     "measure": {"viscosity"},
     # of the pressures it knows only whether the boundary differs from the start
@@ -316,6 +324,8 @@ def test_maps_are_named_and_shaped_as_the_table_says():
         "grain": len(PRODUCTS["pack"].x),
         "contact": len(PRODUCTS["stress"].contact_a),
         "crack": len(PRODUCTS["stress"].crack_mode),
+        "fracture_node": len(PRODUCTS["open"].node_x),
+        "branch": len(PRODUCTS["open"].branch_a),
         "elapsed_time": 3,
         "well": len(SCENE.wells),
         "fracture": len(SCENE.fractures),

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
-from demflow.model.network.traces import Chain, chain_along, pipes_across
 from demflow.model.outcome import ModelError
-from demflow.model.products import Apertures, Network, Permeability, StressState
+from demflow.model.products import Apertures, Network, Permeability, StressState, Walk
 from demflow.model.region import Region
-from demflow.model.scene import Fracture, Line, Matrix, lines_of
+from demflow.model.scene import Fracture, Matrix, acting_lines
 
 
 def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: float) -> np.ndarray:
@@ -30,8 +31,8 @@ def pipe_conductance(aperture: np.ndarray, length: np.ndarray, viscosity: float)
     return aperture**3 / (12.0 * viscosity * length)
 
 
-def transmissivity(aperture: float, viscosity: float) -> float:
-    """Cubic law of a fracture of hydraulic aperture w, T = w³ / (12 μ), m³/(s Pa)."""
+def transmissivity(aperture: Any, viscosity: float) -> Any:
+    """Cubic law of fractures of hydraulic aperture w (m), T = w³ / (12 μ), m³/(s Pa)."""
     return aperture**3 / (12.0 * viscosity)
 
 
@@ -39,6 +40,7 @@ def uniform(network: Network, aperture: float, viscosity: float) -> Apertures:
     """The network with one aperture everywhere and no fracture."""
     p = len(network.pipe_from)
     conductance = pipe_conductance(np.full(p, float(aperture)), network.pipe_length, viscosity)
+    none, nowhere = np.empty(0, dtype=np.int64), np.empty(0)
     return Apertures(
         aperture=np.full(p, float(aperture)),
         conductance=conductance,
@@ -47,18 +49,30 @@ def uniform(network: Network, aperture: float, viscosity: float) -> Apertures:
         cut_conductance=conductance[network.cut] / network.cut_fraction,
         trace_start=np.empty((0, 2)),
         trace_end=np.empty((0, 2)),
-        trace_fracture=np.empty(0, dtype=np.int64),
-        trace_transmissivity=np.empty(0),
-        trace_pipes=np.empty(0, dtype=np.int64),
-        trace_acts=np.empty(0, dtype=np.int64),
-        pipe_trace_from=np.full(p, np.nan),
-        pipe_trace_to=np.full(p, np.nan),
+        trace_fracture=none,
+        trace_pipes=none,
+        trace_acts=none,
+        node_x=nowhere,
+        node_y=nowhere,
+        node_side=np.empty((0, 2), dtype=np.int64),
+        node_volume=nowhere,
+        branch_a=none,
+        branch_b=none,
+        branch_line=none,
+        branch_length=nowhere,
+        branch_aperture=nowhere,
+        branch_conductance=nowhere,
+        cross_pipe=none,
+        cross_fraction=nowhere,
+        cross_node=none,
+        cross_resistance=nowhere,
         matrix_aperture=np.asarray(float(aperture)),
     )
 
 
 def open_pipes(
     network: Network,
+    walked: Walk | None,
     stress: StressState | None,
     unit_permeability: Permeability | None,
     *,
@@ -72,68 +86,140 @@ def open_pipes(
     Parameters
     ----------
     network : pores and pipes.
+    walked : where the lines of the fractures run; None where there is none.
     stress : contact forces and moved grains; None where no stress is modelled.
     unit_permeability : permeability of the network at an aperture of 1 m everywhere
         (permeability is proportional to w³); needed where a permeability is given.
     region, matrix, fractures, viscosity : parts of the scene.
 
     A fracture given by its permeability has w_f = (k_f / k_1)^(1/3) in the unstressed
-    state, and follows stress as the matrix does. One given by a hydraulic aperture has
-    that aperture in place, and its pipes are calibrated so that the trace carries
-    w³ / (12 μ). Where traces share a pipe the more conductive one has it; barriers come
-    last and multiply whatever crosses them.
+    state, and follows stress as the matrix does; the widest has a pipe that several share.
+    Branches of traces with a hydraulic aperture carry w³ / (12 μ) over their length. Barriers
+    come last: a multiplier holds for whatever crosses it, a resistance per area stands in series
+    with each pipe over the length that it cuts, and with each trace over its aperture.
     """
     if matrix.aperture is not None:
         w0 = matrix.aperture
     else:
         w0 = _aperture_for(matrix.permeability, unit_permeability)
     result = uniform(network, w0, viscosity)
+    lines = acting_lines(fractures, region) if walked is not None else []
+    if walked is None or len(walked.line_start) != len(lines):
+        if fractures and acting_lines(fractures, region):
+            raise ModelError("the fractures were not walked on this network; run walk with them")
+        walked, lines = None, []
     unstressed = result.aperture.copy()
-    lines = [
-        line
-        for line in lines_of(fractures, region)
-        if line.length > 0.0 and fractures[line.fracture].acts_on_flow
-    ]
-    chains = [chain_along(network, line) for line in lines]
-    acts = np.zeros(len(lines), dtype=np.int64)
-
-    for index, (line, chain) in enumerate(zip(lines, chains, strict=True)):
-        fracture = fractures[line.fracture]
-        if fracture.permeability is not None:
-            wide = _aperture_for(fracture.permeability, unit_permeability)
-            pipes = np.concatenate([chain.pipe, [p for p in chain.rim_pipe if p >= 0]]).astype(int)
-            wider = unstressed[pipes] <= wide
-            unstressed[pipes[wider]] = wide
-            acts[index] = np.count_nonzero(wider)
-            _claim(result, pipes, wider, index)
-
+    fracture = np.array([line.fracture for line in lines], dtype=np.int64)
+    if walked is not None:
+        wide = np.array(
+            [
+                _aperture_for(f.permeability, unit_permeability) if f.part == "chain" else 0.0
+                for f in fractures
+            ]
+        )[fracture]
+        acts, on_fracture = _widened(walked, wide, unstressed)
     aperture = _stressed(network, stress, unstressed, matrix)
     conductance = pipe_conductance(aperture, network.pipe_length, viscosity)
     result = result._replace(
         aperture=aperture,
         conductance=conductance,
         cut_conductance=conductance[network.cut] / network.cut_fraction,
-        volume=_volumes(network, fractures, lines, chains, aperture),
     )
-    for index, (line, chain) in enumerate(zip(lines, chains, strict=True)):
-        if line.aperture is not None:
-            acts[index] = _calibrate(network, result, index, chain, line.aperture, viscosity)
-    for index, line in enumerate(lines):
-        multiplier = fractures[line.fracture].transmissibility_multiplier
-        if multiplier is not None:
-            across = pipes_across(network, line)
-            result.conductance[across] *= multiplier
-            result.cut_conductance[across[network.cut]] *= multiplier
-            acts[index] = np.count_nonzero(across)
+    if walked is None:
+        return result
+    result = result._replace(
+        on_fracture=on_fracture,
+        volume=_volumes(network, walked, fractures, fracture, aperture),
+        trace_start=walked.line_start,
+        trace_end=walked.line_end,
+        trace_fracture=fracture,
+        trace_pipes=_per_line(walked, walked.cross_line, walked.chain_line),
+        node_x=walked.node_x,
+        node_y=walked.node_y,
+        node_side=walked.node_side,
+        branch_a=walked.branch_a,
+        branch_b=walked.branch_b,
+        branch_line=walked.branch_line,
+        branch_length=walked.branch_length,
+    )
+    open_lines = np.array([line.aperture or 0.0 for line in lines])
+    result = _with_branches(result, walked, open_lines[walked.branch_line], viscosity)
+    result = _with_barriers(result, network, walked, [fractures[k] for k in fracture], viscosity)
+    ends = walked.branch_line[(walked.node_side[walked.branch_a, 0] >= 0)]
+    acts = acts + _per_line(walked, walked.cross_line, walked.wall_line, walked.cut_line, ends)
+    return result._replace(trace_acts=acts)
+
+
+def _per_line(walked: Walk, *lines: np.ndarray) -> np.ndarray:
+    """How often each line is named, (lines,)."""
+    return np.bincount(np.concatenate(lines), minlength=len(walked.line_start))
+
+
+def _widened(
+    walked: Walk, wide: np.ndarray, unstressed: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Give the pipes of chains the aperture of their line, where it is wider (in place).
+
+    Returns the number of pipes that each line widened, and the line that each pipe runs along:
+    the widest, of equal ones the last, and any where none is wider than the matrix.
+    """
+    on_fracture = np.full(len(unstressed), -1, dtype=np.int64)
+    order = np.lexsort((walked.chain_line, wide[walked.chain_line]))
+    pipe, line = walked.chain_pipe[order], walked.chain_line[order]
+    wins = unstressed[pipe] <= wide[line]
+    on_fracture[pipe] = line
+    np.maximum.at(unstressed, pipe, wide[line])
+    return _per_line(walked, line[wins]), on_fracture
+
+
+def _with_branches(
+    result: Apertures, walked: Walk, aperture: np.ndarray, viscosity: float
+) -> Apertures:
+    """The traces' branches at hydraulic apertures (e,) m, and what their nodes store."""
+    half = 0.5 * aperture * walked.branch_length
+    m = len(walked.node_x)
+    volume = np.bincount(walked.branch_a, weights=half, minlength=m)
+    volume += np.bincount(walked.branch_b, weights=half, minlength=m)
     return result._replace(
-        trace_start=np.array([line.start for line in lines]).reshape(-1, 2),
-        trace_end=np.array([line.end for line in lines]).reshape(-1, 2),
-        trace_fracture=np.array([line.fracture for line in lines], dtype=np.int64),
-        trace_transmissivity=np.array(
-            [transmissivity(line.aperture or 0.0, viscosity) for line in lines]
-        ),
-        trace_pipes=np.array([len(chain.pipe) for chain in chains], dtype=np.int64),
-        trace_acts=acts,
+        branch_aperture=aperture,
+        branch_conductance=transmissivity(aperture, viscosity) / walked.branch_length,
+        node_volume=volume,
+    )
+
+
+def _with_barriers(
+    result: Apertures,
+    network: Network,
+    walked: Walk,
+    fractures: list[Fracture],
+    viscosity: float,
+) -> Apertures:
+    """What barriers leave of pipes and branches; `fractures` (lines,) that of each line."""
+    given = [f.transmissibility_multiplier for f in fractures]
+    multiplier = np.array([1.0 if m is None else m for m in given])
+    resistance = np.array([f.resistance_at(viscosity) or 0.0 for f in fractures])
+    keeps = np.ones(len(network.pipe_from))
+    np.multiply.at(keeps, walked.wall_pipe, multiplier[walked.wall_line])
+    branch = result.branch_conductance.copy()
+    np.multiply.at(branch, walked.cut_branch, multiplier[walked.cut_line])
+    across = np.bincount(
+        walked.cut_branch,
+        weights=resistance[walked.cut_line] / result.branch_aperture[walked.cut_branch],
+        minlength=len(branch),
+    )
+    stands = resistance[walked.wall_line] > 0.0
+    pipe = np.concatenate([walked.cross_pipe, walked.wall_pipe[stands]])
+    fraction = np.concatenate([walked.cross_fraction, walked.wall_fraction[stands]])
+    added = (resistance[walked.wall_line] / walked.wall_length)[stands]
+    order = np.lexsort((fraction, pipe))
+    return result._replace(
+        conductance=result.conductance * keeps,
+        cut_conductance=result.cut_conductance * keeps[network.cut],
+        branch_conductance=branch / (1.0 + branch * across),
+        cross_pipe=pipe[order],
+        cross_fraction=fraction[order],
+        cross_node=np.append(walked.cross_node, np.full(len(added), -1))[order],
+        cross_resistance=np.append(np.zeros(len(walked.cross_pipe)), added)[order],
     )
 
 
@@ -187,81 +273,32 @@ def pipe_gaps(network: Network, stress: StressState) -> np.ndarray:
     return np.where(np.isnan(opening), distance - touching, opening)
 
 
-def _calibrate(
-    network: Network,
-    result: Apertures,
-    index: int,
-    chain: Chain,
-    aperture: float,
-    viscosity: float,
-) -> int:
-    """Give the pipes along a trace T / Δs, which telescopes to T / length (in place).
-
-    Returns the number of pipes that it widened.
-    """
-    carried = transmissivity(aperture, viscosity)
-    conductance = carried / np.diff(chain.place)
-    wins = conductance > result.conductance[chain.pipe]
-    pipes = chain.pipe[wins]
-    result.conductance[pipes] = conductance[wins]
-    result.aperture[pipes] = aperture
-    _claim(result, chain.pipe, wins, index)
-    forward = network.pipe_from[pipes] == chain.domain[:-1][wins]
-    near, far = chain.place[:-1][wins], chain.place[1:][wins]
-    result.pipe_trace_from[pipes] = np.where(forward, near, far)
-    result.pipe_trace_to[pipes] = np.where(forward, far, near)
-    widened = np.count_nonzero(wins)
-    for pipe, distance in zip(
-        chain.rim_pipe,
-        (chain.place[:1], chain.length - chain.place[-1:]),
-        strict=True,
-    ):
-        if pipe < 0:
-            continue
-        crossing = np.searchsorted(network.cut, pipe)
-        wins_rim = carried / distance[0] > result.cut_conductance[crossing]
-        if wins_rim:
-            result.cut_conductance[crossing] = carried / distance[0]
-            result.aperture[pipe] = aperture
-            widened += 1
-        _claim(result, np.array([pipe]), np.array([wins_rim]), index)
-    return int(widened)
-
-
-def _claim(result: Apertures, pipes: np.ndarray, wins: np.ndarray, index: int) -> None:
-    """Mark pipes as lying on a trace: those that it widened, and any that no other has."""
-    ours = pipes[wins | (result.on_fracture[pipes] < 0)]
-    result.on_fracture[ours] = index
-
-
 def _volumes(
     network: Network,
+    walked: Walk,
     fractures: tuple[Fracture, ...],
-    lines: list[Line],
-    chains: list[Chain],
+    fracture: np.ndarray,
     aperture: np.ndarray,
 ) -> np.ndarray:
-    """Pore volumes after the pores along a trace gave theirs to the matrix beside them.
+    """Pore volumes after the pores along a chain gave theirs to the matrix, where it owns them.
 
-    The pores along a trace belong to the matrix; left in the fracture they would delay its
-    response. A pore keeps the volume of its stretch of fracture, the rest goes in equal
-    parts to those of its neighbours that lie on no such trace; without any it keeps its own.
+    A pore keeps the volume of its stretch of fracture, the rest goes in equal parts to those of
+    its neighbours that lie on no such line; without any it keeps its own.
     """
-    own = np.full(len(network.volume), np.nan)
-    for line, chain in zip(lines, chains, strict=True):
-        fracture = fractures[line.fracture]
-        owner = fracture.pore_storage or ("matrix" if line.aperture else "fracture")
-        if fracture.transmissibility_multiplier is not None or owner != "matrix":
-            continue
-        if len(chain.pipe) == 0:
-            continue
-        width = line.aperture or float(aperture[chain.pipe].mean())
-        kept = np.fmax(own[chain.domain], 0.0) + width * chain.storage_length
-        own[chain.domain] = np.minimum(kept, network.volume[chain.domain])
-    on_trace = ~np.isnan(own)
     volume = network.volume.copy()
-    if not on_trace.any():
+    gives_up = np.array([f.pore_storage == "matrix" and f.part == "chain" for f in fractures])
+    on = gives_up[fracture[walked.chain_domain_line]]
+    if not on.any():
         return volume
+    pipes = np.bincount(walked.chain_line, minlength=len(fracture))
+    summed = np.bincount(walked.chain_line, aperture[walked.chain_pipe], len(fracture))
+    width = summed / np.maximum(pipes, 1)
+    own = np.full(len(volume), np.nan)
+    domain, line = walked.chain_domain[on], walked.chain_domain_line[on]
+    own[domain] = 0.0
+    np.add.at(own, domain, width[line] * walked.chain_storage[on])
+    own = np.minimum(own, network.volume)
+    on_trace = ~np.isnan(own)
     i = np.concatenate([network.pipe_from, network.pipe_to])
     j = np.concatenate([network.pipe_to, network.pipe_from])
     gives = on_trace[i] & ~on_trace[j] & network.inside[j]

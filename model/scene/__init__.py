@@ -35,7 +35,16 @@ from demflow.model.scene.fractures import (
     Trace,
     TraceMap,
 )
-from demflow.model.scene.lines import JointLine, Line, joint_lines, lines_of, refined_places
+from demflow.model.scene.lines import (
+    FlowLine,
+    JointLine,
+    Line,
+    acting_lines,
+    flow_lines,
+    joint_lines,
+    lines_of,
+    refined_places,
+)
 from demflow.model.scene.rock import Bonds, Contact, FailureTest, Grains, Refinement, Stress
 from demflow.model.scene.trace_maps import MapFile
 
@@ -49,6 +58,7 @@ __all__ = [
     "FailureTest",
     "Circle",
     "Contact",
+    "FlowLine",
     "Fluid",
     "Fracture",
     "FractureSet",
@@ -77,6 +87,8 @@ __all__ = [
     "Uniform",
     "VonMises",
     "Well",
+    "acting_lines",
+    "flow_lines",
     "joint_lines",
     "lines_of",
     "refined_places",

@@ -56,17 +56,23 @@ class Joint:
 class _FractureProperties:
     """What a fracture does to flow, and under stress.
 
-    Exactly one of the first three; none of them only where it is a mere joint.
-    `permeability`: its pipes get the aperture of a medium of that permeability (the
-    paper's meaning). `aperture`: a hydraulic aperture whose transmissivity along the
-    trace is w³ / (12 μ) (the engineer's). `transmissibility_multiplier`: a barrier;
-    the pipes that run across the trace keep this fraction of their conductance.
+    Exactly one kind; none only where it is a mere joint. `aperture`: a hydraulic aperture
+    whose transmissivity along the trace is w³ / (12 μ); the trace has nodes of its own where it
+    crosses pipes and other traces. `permeability` without a thickness: the matrix's pipes along
+    it get the aperture of a medium of that permeability (the paper's meaning). `thickness` with
+    `permeability`, or `resistance`: a barrier, in series with what it cuts, whatever the size of
+    the grains. `transmissibility_multiplier`: the pipes that run across the trace keep this
+    fraction of their conductance; what that is worth depends on the grains.
     `joint`: grains slide along it; without, a fracture is no plane of weakness.
     """
 
     name: str
     permeability: float | None = parameter(
-        "m2", default=None, above=0, help="permeability of a medium with the fracture's aperture"
+        "m2",
+        default=None,
+        above=0,
+        help="permeability of a medium with the fracture's aperture; with a thickness, of the "
+        "barrier's own rock",
     )
     aperture: Aperture | None = parameter(
         "m",
@@ -77,13 +83,23 @@ class _FractureProperties:
         help="hydraulic aperture; transmissivity w³ / (12 μ). One number, or a law by trace",
     )
     transmissibility_multiplier: float | None = parameter(
-        default=None, at_least=0, at_most=1, help="barrier: fraction of the flow that it lets cross"
+        default=None,
+        at_least=0,
+        at_most=1,
+        help="barrier: fraction that the pipes across it keep; depends on the size of the grains, "
+        "where thickness with permeability, or resistance, do not",
+    )
+    thickness: float | None = parameter(
+        "m", default=None, above=0, help="barrier: thickness of the rock of its permeability"
+    )
+    resistance: float | None = parameter(
+        "Pa s/m", default=None, above=0, help="barrier: pressure drop per flow through its area"
     )
     pore_storage: str | None = parameter(
         default=None,
         choices=("matrix", "fracture"),
-        help="who owns the storage of the pores along the trace; "
-        "default: matrix for an aperture, fracture for a permeability",
+        help="who owns the storage of the pores along a fracture of given permeability; "
+        "default: fracture",
     )
     joint: Joint | None = parameter(
         default=None, help="how its contacts slide where the scene names a stress; none: as grains"
@@ -92,25 +108,48 @@ class _FractureProperties:
     @property
     def acts_on_flow(self) -> bool:
         """Whether it is more than a mere joint."""
-        given = (self.permeability, self.aperture, self.transmissibility_multiplier)
-        return any(value is not None for value in given)
+        return bool(self._kinds)
+
+    @property
+    def part(self) -> str:
+        """What it is to flow: trace, chain, barrier or multiplier; none where a mere joint."""
+        parts = {
+            "aperture": "trace",
+            "permeability": "chain",
+            "transmissibility_multiplier": "multiplier",
+        }
+        return parts.get(self._kinds[0], "barrier") if self._kinds else "none"
+
+    def resistance_at(self, viscosity: float) -> float | None:
+        """Resistance per area of a barrier that has one, μ thickness / k, Pa s/m."""
+        if self.thickness is not None and self.permeability is not None:
+            return viscosity * self.thickness / self.permeability
+        return self.resistance
+
+    @property
+    def _kinds(self) -> list[str]:
+        """The keys given that say what kind of fracture it is, thickness as one with its rock."""
+        keys = ("permeability", "aperture", "transmissibility_multiplier", "resistance")
+        given = [key for key in keys if getattr(self, key) is not None]
+        return (
+            ["thickness", *(g for g in given if g != "permeability")] if self.thickness else given
+        )
 
     def _problems(self) -> list[tuple[str, str]]:
         if isinstance(self.aperture, LogNormal) and not isinstance(self, RandomSet | TraceMap):
             return [("aperture", "it is drawn for random sets and maps only; give one number")]
-        given = [
-            key
-            for key in ("permeability", "aperture", "transmissibility_multiplier")
-            if getattr(self, key) is not None
-        ]
-        if len(given) != 1 and not (self.joint is not None and not given):
-            return [
-                (
-                    given[0] if given else "",
-                    "give exactly one of permeability, aperture, transmissibility_multiplier",
-                )
-            ]
-        return []
+        given = self._kinds
+        problems = []
+        if len(given) > 1 or not (given or self.joint):
+            what = "permeability, aperture, thickness with permeability, resistance, "
+            what = f"give exactly one of {what}transmissibility_multiplier"
+            problems.append((given[0] if given else "", what))
+        elif self.thickness is not None and self.permeability is None:
+            problems.append(("thickness", "a barrier of some thickness needs a permeability"))
+        if self.pore_storage == "fracture" and self.part != "chain":
+            what = "belongs to a fracture given by a permeability; another stores in its own volume"
+            problems.append(("pore_storage", what))
+        return problems
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

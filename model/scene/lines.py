@@ -16,10 +16,13 @@ from demflow.model.scene.rock import Refinement
 from demflow.model.scene.trace_maps import pieces
 
 __all__ = [
+    "FlowLine",
     "JointLine",
     "Line",
     "Polylines",
     "RefinedPlace",
+    "acting_lines",
+    "flow_lines",
     "joint_lines",
     "lines_of",
     "polylines",
@@ -148,6 +151,39 @@ def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
             )
         traces += len(drawn.first) - 1
     return lines
+
+
+class FlowLine(NamedTuple):
+    """A line that acts on flow, with nothing of how much: what decides where it runs."""
+
+    part: str  # trace (nodes of its own), chain (pipes along it), barrier or multiplier (across)
+    start: tuple[float, float]  # m
+    end: tuple[float, float]  # m
+    start_at_rim: bool
+    end_at_rim: bool
+
+
+def acting_lines(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
+    """The lines that act on flow, in order; of no length is none."""
+    return [
+        line
+        for line in lines_of(fractures, region)
+        if line.length > 0.0 and fractures[line.fracture].acts_on_flow
+    ]
+
+
+def flow_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[FlowLine, ...]:
+    """Where `acting_lines` run, and the part that each has in flow."""
+    return tuple(
+        FlowLine(
+            fractures[line.fracture].part,
+            line.start,
+            line.end,
+            line.start_at_rim,
+            line.end_at_rim,
+        )
+        for line in acting_lines(fractures, region)
+    )
 
 
 def polylines(fracture: Fracture, region: Region) -> Polylines:

@@ -160,7 +160,7 @@ def draw_maps(
     shown = ", ".join(titles)
     caption = f"Pore pressure, {heading.replace(chr(10), ', ')}: {shown}. Each polygon is a pore"
     barriers = [_is_barrier(fracture) for fracture in scene.fractures]
-    caption += "" if all(barriers) else ", white lines are pipes along fractures"
+    caption += "" if all(barriers) else ", white lines are fractures"
     caption += ", dashed black lines are barriers" if any(barriers) else ""
     caption += ", wells are circles." if scene.wells else "."
     if any(beyond):
@@ -203,8 +203,15 @@ def _fractures(panel: Axes, maps: xr.Dataset) -> None:
         return
     start, end = maps["from_domain"].values, maps["to_domain"].values
     along = (maps["on_fracture"].values >= 0) & (start >= 0) & (end >= 0)
+    branches = "branch_from" in maps
+    if branches:  # the last pipes, which have places of their own
+        along[len(along) - len(maps["branch_from"]) :] = False
     places = np.stack([maps["x"].values, maps["y"].values], axis=1)
     segments = np.stack([places[start[along]], places[end[along]]], axis=1)
+    if branches:
+        nodes = np.stack([maps["fracture_node_x"].values, maps["fracture_node_y"].values], axis=1)
+        ends = np.stack([maps["branch_from"].values, maps["branch_to"].values], axis=1)
+        segments = np.concatenate([segments, nodes[ends]])
     panel.add_collection(
         LineCollection(
             list(segments),
@@ -216,7 +223,7 @@ def _fractures(panel: Axes, maps: xr.Dataset) -> None:
 
 
 def _is_barrier(fracture: Fracture) -> bool:
-    return fracture.transmissibility_multiplier is not None
+    return fracture.part in ("barrier", "multiplier")
 
 
 def _barriers(panel: Axes, scene: Scene) -> None:

@@ -7,9 +7,10 @@ import numpy as np
 from demflow.model.flow.equation.system import System
 from demflow.model.network.apertures import open_pipes
 from demflow.model.network.domains import network
+from demflow.model.network.fractures.walk import walk
 from demflow.model.products import Network
 from demflow.model.region import Rectangle
-from demflow.model.scene import Matrix, Trace, Well
+from demflow.model.scene import Matrix, Trace, Well, flow_lines
 from tests.diffusion import DOMAINS_PER_GRAIN
 from tests.reservoirs import Reservoir
 from tests.rocks import random_graph
@@ -34,14 +35,15 @@ def cut(rock: Network, kind: str, contrast: float) -> Reservoir:
             start=(-0.7, -0.3),
             end=(0.6, 0.5),
             aperture=matrix * contrast ** (1 / 3),
-            pore_storage="fracture",
         )
     else:
         line = Trace(
             name=kind, start=(0.4, -1.0), end=(0.6, 1.0), transmissibility_multiplier=1 / contrast
         )
+    walked = walk(rock, region=REGION, lines=flow_lines((line,), REGION))
     opened = open_pipes(
         rock,
+        walked,
         None,
         None,
         region=REGION,

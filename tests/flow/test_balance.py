@@ -13,8 +13,9 @@ from demflow.model.flow.solvers import implicit as implicit_module
 from demflow.model.flow.solvers import subspace as subspace_module
 from demflow.model.network.apertures import open_pipes
 from demflow.model.network.domains import network
+from demflow.model.network.fractures.walk import walk
 from demflow.model.region import Rectangle
-from demflow.model.scene import Matrix, Trace, Well
+from demflow.model.scene import Matrix, Trace, Well, flow_lines
 from tests.flow.test_factor import eliminate, random_graph
 from tests.reservoirs import Reservoir
 from tests.rocks import random_graph as random_rock
@@ -137,13 +138,15 @@ def cut_rock(kind: str, contrast: float) -> Reservoir:
     region = Rectangle(2.0, 2.0)
     line = {"name": kind, "start": (-0.7, -0.4), "end": (0.6, 0.7)}
     if kind == "fracture":
-        fracture = Trace(**line, aperture=1e-5 * contrast ** (1 / 3), pore_storage="fracture")
+        fracture = Trace(**line, aperture=1e-5 * contrast ** (1 / 3))
     else:
         fracture = Trace(**line, transmissibility_multiplier=1 / contrast)
     packing = random_rock(1.1, 900, 4)
     net = network(packing, region=region)
+    walked = walk(net, region=region, lines=flow_lines((fracture,), region))
     opened = open_pipes(
         net,
+        walked,
         None,
         None,
         region=region,

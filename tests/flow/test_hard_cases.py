@@ -116,9 +116,7 @@ def test_a_fracture_of_any_contrast(method, contrast):
     """Pressures bounded, mass kept, and at 1e12 the trace alone decides the flow."""
     packing = SCATTER._replace(radius=0.5 * SCATTER.radius)
     wide = 1e-5 * contrast ** (1 / 3)
-    fracture = Trace(
-        name="f", aperture=wide, start=(-1.5, 0.1), end=(1.5, -0.2), pore_storage="fracture"
-    )
+    fracture = Trace(name="f", aperture=wide, start=(-1.5, 0.1), end=(1.5, -0.2))
     rock = reservoir(packing, BOX, 1e-5, (fracture,))
     limit = step_limit(rock.assembled((), PAIR))
     times = (10 * limit, 1e4 * limit) if SOLVERS[method].transient else ()

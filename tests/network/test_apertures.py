@@ -14,11 +14,12 @@ from demflow.model.network.apertures import (
     uniform,
 )
 from demflow.model.network.domains import network
+from demflow.model.network.fractures.walk import walk
 from demflow.model.outcome import ModelError
 from demflow.model.permeability import permeability, unit_permeability
 from demflow.model.products import Permeability, StressState
 from demflow.model.region import Circle
-from demflow.model.scene import FractureSet, Matrix, Trace
+from demflow.model.scene import FractureSet, Matrix, Trace, flow_lines
 from tests.rocks import random_graph
 
 REGION = Circle(0.8)
@@ -33,8 +34,10 @@ CRACKS = [name for name in StressState._fields if name.startswith("crack_")]
 
 
 def opened(*fractures, matrix=None, stress=None, unit=UNIT):
+    lines = flow_lines(fractures, REGION)
     return open_pipes(
         NETWORK,
+        walk(NETWORK, region=REGION, lines=lines) if lines else None,
         stress,
         unit,
         region=REGION,
@@ -115,7 +118,7 @@ def test_a_fracture_of_given_permeability_is_as_wide_as_a_medium_of_it():
     np.testing.assert_allclose(
         found.conductance, pipe_conductance(found.aperture, NETWORK.pipe_length, VISCOSITY)
     )
-    assert np.all(found.trace_transmissivity == 0)
+    assert len(found.node_x) == 0
 
 
 def test_forces_of_f0_everywhere_halve_apertures_and_leave_an_eighth():
@@ -162,34 +165,48 @@ def test_fractures_of_given_permeability_close_under_force_as_the_matrix_does():
 
 
 def test_a_hydraulic_aperture_is_the_one_in_place():
-    """It carries w³/(12 μ) whatever the forces."""
+    """It carries w³/(12 μ) whatever the forces, and leaves the matrix's pipes as they are."""
     fracture = Trace(name="f", aperture=1e-4, start=(-0.5, -0.1), end=(0.5, 0.2))
     matrix = Matrix(aperture=1e-5, half_force=2e6)
     loaded = opened(fracture, matrix=matrix, stress=state(6e6))
     free = opened(fracture, matrix=matrix)
-    on = free.on_fracture == 0
-    assert on.sum() > 5
-    np.testing.assert_array_equal(loaded.conductance[on], free.conductance[on])
-    np.testing.assert_array_equal(loaded.aperture[on], 1e-4)
+    assert len(free.branch_line) > 5
+    np.testing.assert_array_equal(loaded.branch_conductance, free.branch_conductance)
+    np.testing.assert_array_equal(loaded.branch_aperture, 1e-4)
     length = np.hypot(0.1 + 0.9, 0.3)
-    assert np.sum(1 / free.conductance[on]) == pytest.approx(
-        length / transmissivity(1e-4, VISCOSITY), rel=1e-9
+    assert free.branch_length.sum() == pytest.approx(length, rel=1e-12)
+    np.testing.assert_allclose(
+        free.branch_conductance * free.branch_length, transmissivity(1e-4, VISCOSITY)
     )
+    np.testing.assert_array_equal(free.conductance, opened(matrix=matrix).conductance)
 
 
-def test_the_more_conductive_fracture_has_a_shared_pipe_in_any_order():
-    narrow = Trace(name="narrow", aperture=1e-4, start=(-0.5, 0.1), end=(0.5, 0.1))
-    wide = Trace(name="wide", aperture=3e-4, start=(-0.5, 0.101), end=(0.5, 0.101))
+def test_the_wider_of_two_chains_has_a_shared_pipe_in_any_order():
+    narrow = Trace(name="narrow", permeability=1e-13, start=(-0.5, 0.1), end=(0.5, 0.1))
+    wide = Trace(name="wide", permeability=3e-13, start=(-0.5, 0.101), end=(0.5, 0.101))
     wet = Trace(name="wet", permeability=1e-10, start=(-0.4, -0.5), end=(0.3, 0.5))
     one, other = opened(narrow, wide, wet), opened(wet, wide, narrow)
     np.testing.assert_allclose(one.conductance, other.conductance, rtol=1e-12)
     np.testing.assert_array_equal(one.aperture, other.aperture)
-    for name in ("conductance", "aperture"):
-        alone = [getattr(opened(f), name) for f in (narrow, wide, wet)]
-        assert np.all(getattr(one, name) <= np.max(alone, axis=0) * (1 + 1e-12))
     np.testing.assert_allclose(
         one.conductance, np.max([opened(f).conductance for f in (narrow, wide, wet)], axis=0)
     )
+
+
+def test_traces_in_one_pore_all_carry():
+    """Two parallel traces a thousandth of a pore apart conduct the sum, in any order."""
+    ends = [((-1.0, y), (1.0, y)) for y in (0.1, 0.1 + 1e-4)]
+    traces = [
+        Trace(name=f"f{k}", aperture=w, start=a, end=b)
+        for k, ((a, b), w) in enumerate(zip(ends, (1e-4, 2e-4), strict=True))
+    ]
+    sealed = Matrix(aperture=0.0)
+    tensors = [
+        permeability(NETWORK, opened(*fs, matrix=sealed), viscosity=VISCOSITY)[0, 0]
+        for fs in (traces, traces[::-1], traces[:1], traces[1:])
+    ]
+    assert tensors[0] == pytest.approx(tensors[2] + tensors[3], rel=1e-9)
+    assert tensors[1] == pytest.approx(tensors[0], rel=1e-9)
 
 
 def test_a_fracture_tighter_than_the_matrix_changes_nothing():
@@ -213,7 +230,8 @@ def test_fractures_are_told_apart():
     assert set(found.trace_fracture.tolist()) == {0, 1}
     assert found.trace_fracture.tolist() == sorted(found.trace_fracture.tolist())
     assert len(found.trace_start) == len(found.trace_end) == len(found.trace_pipes)
-    assert found.on_fracture.max() < len(found.trace_pipes)
+    assert set(found.branch_line.tolist()) == set(range(len(found.trace_pipes)))
+    assert np.all(found.on_fracture == -1)
 
 
 def test_uniform_is_open_pipes_without_anything():

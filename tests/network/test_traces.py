@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from demflow.model.network.apertures import transmissivity
 from demflow.model.network.domains import network
-from demflow.model.network.traces import chain_along, pipes_across
+from demflow.model.network.fractures.chains import chain_along
+from demflow.model.network.fractures.crossings import crossings
+from demflow.model.products import Permeability
 from demflow.model.region import Circle, Polygon, Rectangle, clip_segment, contains
 from demflow.model.scene import BiWing, FractureSet, Line, Trace, lines_of
 from tests.reservoirs import reservoir
@@ -60,11 +62,10 @@ def test_a_trace_in_a_sealed_matrix_carries_the_cubic_law(rock, left, right):
     expected = cubic_law(made)
     np.testing.assert_allclose(seen["boundary_flow"], [expected, -expected], rtol=1e-9)
     (line,) = lines_of((fracture,), WIDE)
-    chain = chain_along(made.network, line)
     responses = made.respond((), ("left", "right"), method="steady")
-    pressure = dict(zip(responses.domain.tolist(), responses.pressure[0, 0], strict=True))
-    along = np.array([pressure[d] for d in chain.domain.tolist()])
-    np.testing.assert_allclose(along, 1 - chain.place / line.length, atol=1e-9)
+    nodes = responses.domain >= len(made.network.x)
+    along = (made.apertures.node_x - line.start[0]) / (line.end[0] - line.start[0])
+    np.testing.assert_allclose(responses.pressure[0, 0][nodes], 1 - along, atol=1e-9)
 
 
 @everywhere
@@ -100,8 +101,8 @@ def test_a_trace_drawn_the_other_way_is_the_same(rock):
         steady(rock, open_trace(*way), matrix=2e-5)[1]["boundary_flow"]
         for way in (ends, ends[::-1])
     ]
-    # a loop of the chain may be cut at another pore
-    np.testing.assert_allclose(*flows, rtol=2e-2)
+    # crossings that are one node are so from the other end on
+    np.testing.assert_allclose(*flows, rtol=1e-4)
 
 
 @everywhere
@@ -208,10 +209,14 @@ def test_a_nearly_sealed_barrier_lets_through_in_proportion(rock):
 def test_a_short_barrier_leaves_the_rest_alone():
     net = NETWORKS["random"]
     line = Line(0, (-0.1, -0.2), (0.15, 0.1), False, False)
-    across = pipes_across(net, line)
+    met = crossings(net, np.array([line.start]), np.array([line.end]))
+    across = np.isin(np.arange(len(net.pipe_from)), met.pipe)
+    assert across.sum() == len(met.pipe)
     p = np.column_stack([net.x, net.y])
     for pipe in range(len(net.pipe_from)):
         ends = p[net.pipe_from[pipe]], p[net.pipe_to[pipe]]
+        if not (net.inside[net.pipe_from[pipe]] or net.inside[net.pipe_to[pipe]]):
+            continue
         assert across[pipe] == meet(line.start, line.end, *ends)
     assert 2 < across.sum() < 60
 
@@ -225,19 +230,21 @@ def meet(p, q, r, s):
 
 @everywhere
 def test_crossing_traces_exchange_fluid(rock):
-    """A plus sign held at 1 on the left and 0 on the other three sides: a star of resistances."""
+    """A plus sign held at 1 on the left and 0 on the other three sides: a star of resistances.
+
+    The two share one node where they cross, in a sealed matrix to the last digits.
+    """
     made, seen = steady(
         rock,
         open_trace((-1.5, 0.013), (1.5, 0.013), "level"),
         open_trace((0.017, -1.5), (0.017, 1.5), "upright"),
         boundaries=(("left", 1.0), ("right", 0.0), ("bottom", 0.0), ("top", 0.0)),
     )
-    arms = 1 / np.array([1.0, 1.0, 0.7, 0.7])  # conductances over T
+    arms = 1 / np.array([1.017, 0.983, 0.713, 0.687])  # conductances over T
     whole = transmissivity(APERTURE, VISCOSITY) * arms
     middle = whole[0] / whole.sum()
     expected = np.array([whole[0] * (1 - middle), *(-whole[1:] * middle)])
-    # the crossing lies in one pore, up to some of its size beside the point
-    np.testing.assert_allclose(seen["boundary_flow"], expected, rtol=0.3)
+    np.testing.assert_allclose(seen["boundary_flow"], expected, rtol=1e-9)
     assert seen["boundary_flow"].sum() == pytest.approx(0, abs=1e-12 * whole[0])
 
 
@@ -252,7 +259,7 @@ def test_traces_end_where_the_region_does(rock, region):
     step = np.array(end) - start
     np.testing.assert_allclose(made.apertures.trace_start, [start + s0 * step], atol=1e-12)
     np.testing.assert_allclose(made.apertures.trace_end, [start + s1 * step], atol=1e-12)
-    assert made.apertures.trace_pipes[0] > 5
+    assert made.apertures.trace_pipes[0] > 3
 
 
 @everywhere
@@ -267,15 +274,15 @@ def test_a_trace_outside_the_region_is_none(rock, outside):
 
 @everywhere
 def test_a_trace_shorter_than_a_pore_breaks_nothing(rock):
+    """It joins what it crosses, which is next to nothing; one that crosses nothing is idle."""
     net = NETWORKS[rock]
     d = int(np.argmin(np.hypot(net.x - 0.2, net.y - 0.1)))
     x, y = float(net.x[d]), float(net.y[d])
     ends = (x - 1e-4, y + 2e-5), (x + 1e-4, y)
-    plain, plainly = steady(rock, matrix=1e-5)
+    _, plainly = steady(rock, matrix=1e-5)
     made, seen = steady(rock, open_trace(*ends), matrix=1e-5)
-    assert made.apertures.trace_pipes.tolist() == [0]
-    np.testing.assert_array_equal(seen["boundary_flow"], plainly["boundary_flow"])
-    np.testing.assert_array_equal(made.apertures.volume, plain.apertures.volume)
+    assert seen["boundary_flow"] == pytest.approx(plainly["boundary_flow"], rel=0.05)
+    np.testing.assert_array_equal(made.apertures.volume, net.volume)
     # a barrier as short may still cut the pipes that meet beside it
     _, walled = steady(rock, barrier(*ends), matrix=1e-5)
     assert 0.9 < walled["boundary_flow"][0] / plainly["boundary_flow"][0] <= 1 + 1e-12
@@ -336,16 +343,17 @@ def test_a_bi_wing_stands_symmetrically_about_its_centre():
 
 
 @everywhere
-@pytest.mark.parametrize("owner", [None, "matrix"])
-def test_storage_handed_over_is_kept(rock, owner):
-    """Pores along a trace keep the fracture's own volume, the matrix beside has the rest."""
+def test_storage_handed_over_is_kept(rock):
+    """Pores along a chain keep the fracture's own volume, the matrix beside has the rest."""
     fracture = Trace(
-        name="open", aperture=APERTURE, start=(-0.8, 0.1), end=(0.7, -0.3), pore_storage=owner
+        name="wide", permeability=1e-13, start=(-0.8, 0.1), end=(0.7, -0.3), pore_storage="matrix"
     )
-    made, _ = steady(rock, fracture, matrix=1e-5)
+    unit = Permeability(1e-3 * np.eye(2))
+    made = reservoir(PACKINGS[rock], WIDE, 1e-5, (fracture,), unit_permeability=unit)
     net, volume = made.network, made.apertures.volume
     (line,) = lines_of((fracture,), WIDE)
     chain = chain_along(net, line)
+    width = made.apertures.aperture[chain.pipe].mean()
     floor = 1e-6 * net.volume.mean()
     assert volume.sum() == pytest.approx(net.volume.sum(), abs=len(chain.domain) * floor)
     off = np.setdiff1d(np.arange(len(volume)), chain.domain)
@@ -354,24 +362,18 @@ def test_storage_handed_over_is_kept(rock, owner):
     for d, stretch in zip(chain.domain, chain.storage_length, strict=True):
         around = np.concatenate([net.pipe_to[net.pipe_from == d], net.pipe_from[net.pipe_to == d]])
         if not np.isin(around, chain.domain).all():
-            assert volume[d] == pytest.approx(max(APERTURE * stretch, floor), rel=1e-6)
+            assert volume[d] == pytest.approx(max(width * stretch, floor), rel=1e-6)
 
 
 @everywhere
-def test_crossing_traces_keep_the_volume_too(rock):
+def test_traces_store_in_their_own_volume_alone(rock):
+    """Aperture times length, whatever crosses; the matrix keeps what it has."""
     pieces = FractureSet(name="set", aperture=APERTURE, angle=0.5, length=0.5, spacing=0.2)
-    wings = BiWing(name="wings", aperture=APERTURE, at=(0, 0), angle=-0.7, half_length=0.5)
+    wings = BiWing(name="wings", aperture=2 * APERTURE, at=(0, 0), angle=-0.7, half_length=0.5)
     made, _ = steady(rock, pieces, wings, matrix=1e-5)
-    assert made.apertures.volume.sum() == pytest.approx(made.network.volume.sum(), rel=1e-4)
-    assert np.all(made.apertures.volume > 0)
-
-
-@everywhere
-def test_a_fracture_may_own_its_pores(rock):
-    fracture = Trace(
-        name="open", aperture=APERTURE, start=(-0.8, 0.1), end=(0.7, -0.3), pore_storage="fracture"
-    )
-    made, _ = steady(rock, fracture, matrix=1e-5)
+    lengths = [sum(line.length for line in lines_of((f,), WIDE)) for f in (pieces, wings)]
+    expected = APERTURE * (lengths[0] + 2 * lengths[1])
+    assert made.apertures.node_volume.sum() == pytest.approx(expected, rel=1e-9)
     np.testing.assert_array_equal(made.apertures.volume, made.network.volume)
 
 

@@ -257,8 +257,10 @@ def rate_observe(flowed: Flowed, *, start: float) -> dict[str, np.ndarray]:
     return {"well_pressure": start + flowed.recorded.T}
 
 
+MADE = ("pack", "unit_loads", "stress", "network", "calibrate", "walk")
+
 RATE_STAGES = (
-    *(s for s in MODEL if s.name in ("pack", "unit_loads", "stress", "network", "calibrate")),
+    *(s for s in MODEL if s.name in MADE),
     next(s for s in MODEL if s.name == "open"),
     Stage(
         "march",

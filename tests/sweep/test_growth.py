@@ -86,7 +86,7 @@ def new_runs(before: Plan, after: Plan) -> dict[str, int]:
             "hydraulic_angle",
             "{parameter: fractures.hydraulic.angle, values: [0 deg, 20 deg, 40 deg]}",
             "{parameter: fractures.hydraulic.angle, from: 0 deg, to: 60 deg, count: 4}",
-            {"open": 2, "measure": 2, "flow": 2, "observe": 4},
+            {"walk": 2, "open": 2, "measure": 2, "flow": 2, "observe": 4},
             id="angles: a list that becomes a range",
         ),
         pytest.param(
@@ -108,7 +108,7 @@ def new_runs(before: Plan, after: Plan) -> dict[str, int]:
             "{parameter: grains.seed, values: [1, 2]}",
             "{parameter: grains.seed, values: [1, 2, 3]}",
             {"pack": 1, "unit_loads": 1, "stress": 1, "network": 1, "calibrate": 1}
-            | {"open": 2, "measure": 2, "flow": 2, "observe": 4},
+            | {"walk": 2, "open": 2, "measure": 2, "flow": 2, "observe": 4},
             id="seeds",
         ),
         pytest.param(

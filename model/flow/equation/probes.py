@@ -59,10 +59,14 @@ def between_pores(
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     own = domains_at(network, points)
     pore = np.zeros(len(network.x), dtype=bool)
-    pore[system.domain] = True
-    between = pore[network.pipe_from] & pore[network.pipe_to] & (apertures.conductance > 0.0)
+    pore[system.domain[system.domain < len(pore)]] = True
+    walls = np.bincount(
+        apertures.cross_pipe, apertures.cross_resistance, minlength=len(network.pipe_from)
+    )
+    conductance = apertures.conductance / (1.0 + apertures.conductance * walls)
+    between = pore[network.pipe_from] & pore[network.pipe_to] & (conductance > 0.0)
     one, other = network.pipe_from[between], network.pipe_to[between]
-    g = apertures.conductance[between]
+    g = conductance[between]
     side = sources_of_sides(region, system.sides)[network.cut_side]
     held = (side >= 0) & (apertures.cut_conductance > 0.0) & pore[network.cut_inside]
     inner, outer = network.cut_inside[held], network.cut_outside[held]

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from demflow.model.flow.equation.branches import branches, wells_of_nodes
 from demflow.model.flow.equation.local_rock import mobility_around, spacing_around
 from demflow.model.flow.equation.sites import WellSite
 from demflow.model.flow.equation.well_field import well_field
@@ -22,22 +23,25 @@ from demflow.model.flow.equation.wells import (
     with_skin,
 )
 from demflow.model.network.connectivity import reached
+from demflow.model.network.fractures.subdivide import Cuts, cuts_of, subdivide
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network
 from demflow.model.region import Region
+
+TINY = float(np.finfo(float).tiny)
 
 # Around a well, a ring of pores this far from its wall tells what it should feel.
 RING_PORES = 5.0
 
 
 class System(NamedTuple):
-    """Unknowns 0 … n − 1: the active pores, the wells at a rate that store, those that do not.
+    """Unknowns 0 … n − 1: active pores, nodes of traces, wells at a rate, those that store first.
 
     Sources are the fixed pressures (sides, then wells), then the wells at a rate, then the
     unit initial fields.
     """
 
-    domain: np.ndarray  # (pores,) the domain of each unknown pore
+    domain: np.ndarray  # (pores,) the place of each: a domain d, or node k of the traces as d + k
     n: int  # unknowns
     storage: np.ndarray  # (n,) C = V / K_f, of wells their wellbore storage, m³/Pa
     edge_i: np.ndarray  # (e,)
@@ -53,8 +57,8 @@ class System(NamedTuple):
     pressure_wells: tuple[int, ...]  # positions of the wells at fixed pressure
     rate_wells: tuple[int, ...]  # positions of the wells at a rate
     well_node: np.ndarray  # (rate wells,) unknown of each
-    node_of_domain: np.ndarray  # (d,) unknown of each domain, −1 none
-    source_of_domain: np.ndarray  # (d,) fixed source whose pressure a domain has, −1 none
+    node_of_domain: np.ndarray  # (d + m,) unknown of each place, −1 none
+    source_of_domain: np.ndarray  # (d + m,) fixed source whose pressure a place has, −1 none
     isolated: int  # pores inside the region that no source reaches
     initial: np.ndarray  # (fields, n) unit initial fields; none where the start is uniform
 
@@ -116,10 +120,11 @@ def assemble(
 ) -> System:
     """Set up the flow equation.
 
-    `sides` names the sides at fixed pressure (`outer` takes all of them); the others are
-    sealed. A pore in a well shares the well's pressure and stores nothing of its own; what
-    joins a well to the pores around gives it the pressure of a well in a continuum of the rock
-    there (`wells.join_wells`). A skin S adds q μ S / (2π k) to the fall of the well's
+    Pores and nodes of traces are its places. `sides` names the sides at fixed pressure
+    (`outer` takes all of them); the others are sealed. A pore in a well shares the well's
+    pressure and stores nothing of its own; what joins a well to the pores around gives it the
+    pressure of a well in a continuum of the rock there (`wells.join_wells`), and a trace that
+    passes a well meets its wall. A skin S adds q μ S / (2π k) to the fall of the well's
     pressure (van Everdingen 1953, Trans. AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J.
     10, 279–290), with the permeability of the rock around the well.
 
@@ -133,17 +138,20 @@ def assemble(
     last_empty = np.argsort(storing == 0.0, kind="stable")  # wells that store nothing come last
     order = np.argsort(last_empty)
     placed = _placed(network, apertures, region, wells, sides)
-    well_of = np.full(len(network.x), -1)
+    well_of = np.append(np.full(len(network.x), -1), wells_of_nodes(apertures, wells))
     for k in reversed(range(len(wells))):
         well_of[placed.taken[k]] = k
 
-    # Everything that flow can reach is a terminal: the pores, then the wells, then the sides.
-    d, w = len(network.x), len(wells)
-    terminal = np.where(well_of >= 0, d + well_of, np.where(network.inside, np.arange(d), -1))
+    # Everything that flow can reach is a terminal: places, then the wells, then the sides.
+    d, w = len(well_of), len(wells)
+    inside = np.append(network.inside, np.ones(len(apertures.node_x), dtype=bool))
+    terminal = np.where(well_of >= 0, d + well_of, np.where(inside, np.arange(d), -1))
+    side = _sides_of_nodes(apertures, sources_of_sides(region, sides))
+    terminal[len(network.x) :][side >= 0] = d + w + side[side >= 0]
     held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
     held[d + w :] = np.arange(len(sides))
     held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
-    a, b, g = _connections(network, apertures, region, placed, sides)
+    a, b, g = _connections(network, apertures, region, placed, sides, terminal)
     a, b = np.where(held[a] >= 0, b, a), np.where(held[a] >= 0, a, b)
     free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
     between = held[a] >= 0
@@ -156,11 +164,13 @@ def assemble(
     free &= (number[a] >= 0) & (number[b] >= 0)
     node_of_domain = np.where(terminal >= 0, number[terminal], -1)
     source_of_domain = np.where(terminal >= 0, held[terminal], -1)
-    alone = network.inside & (node_of_domain < 0) & (source_of_domain < 0)
+    met = (node_of_domain >= 0) | (source_of_domain >= 0)
+    alone = network.inside & ~met[: len(network.x)]
+    volume = np.append(apertures.volume, apertures.node_volume)
     return System(
         domain=domain,
         n=len(domain) + len(rate_wells),
-        storage=np.append(apertures.volume[domain] / bulk_modulus, storing[last_empty]),
+        storage=np.append(volume[domain] / bulk_modulus, storing[last_empty]),
         edge_i=number[a[free]],
         edge_j=number[b[free]],
         edge_g=g[free],
@@ -187,6 +197,8 @@ def _check_numbers(network: Network, apertures: Apertures) -> None:
         ("conductance", apertures.conductance),
         ("conductance at the rim", apertures.cut_conductance),
         ("pore volume", apertures.volume),
+        ("conductance of the traces", apertures.branch_conductance),
+        ("volume of the traces", apertures.node_volume),
     ):
         wrong = np.flatnonzero(~(np.isfinite(values) & (values >= 0.0)))
         if len(wrong):
@@ -232,29 +244,24 @@ def _connections(
     region: Region,
     wells: Wells,
     sides: tuple[str, ...],
+    terminal: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Conductances between terminals: pipes, cut pipes to the sides, rock along sealed sides."""
-    place = np.column_stack([network.x, network.y])
-    within = network.inside[network.pipe_from] & network.inside[network.pipe_to]
-    pipe = np.flatnonzero(within & (apertures.conductance > 0.0))
-    j = network.pipe_to[pipe]
-    along = np.where(apertures.on_fracture >= 0, np.arange(len(apertures.on_fracture)), -1)
-    pipes = Edges(network.pipe_from[pipe], j, apertures.conductance[pipe], place[j], along[pipe])
-
+    """Conductances between terminals: pipes, rock along sealed sides, branches of traces."""
     side_source = sources_of_sides(region, sides)
-    rim = side_source[network.cut_side]
-    k, m, around = _around_sealed_sides(network, apertures, rim < 0)
-    sealed = Edges(k, m, around, place[m], np.full(len(k), -1))
-
-    cut = np.flatnonzero((rim >= 0) & (apertures.cut_conductance > 0.0))
-    inner, outer = network.cut_inside[cut], network.cut_outside[cut]
-    end = place[inner] + network.cut_fraction[cut, None] * (place[outer] - place[inner])
-    source = len(network.x) + len(wells.sites) + rim[cut]
-    held = Edges(inner, source, apertures.cut_conductance[cut], end, along[network.cut[cut]])
-
-    edges = Edges(*(np.concatenate(columns) for columns in zip(pipes, sealed, held, strict=True)))
-    joined = join_wells(edges, network, apertures, wells)
-    a, b, g = joined.a, joined.b, joined.g
+    edges, cuts = _rock(network, apertures, side_source[network.cut_side], len(wells.sites))
+    joined = join_wells(edges, network, wells)
+    cuts = cuts.along(joined.way, joined.turned)
+    cuts = _seen_from_wells(cuts, joined, network, apertures, wells)
+    # nodes of traces are numbered after the pores
+    nodes = len(apertures.node_x)
+    a, b = (np.where(t >= len(network.x), t + nodes, t) for t in (joined.a, joined.b))
+    a, b, g = subdivide(a, b, joined.g, cuts, len(network.x))
+    first_well = len(terminal)
+    places = np.append(terminal, np.arange(first_well, first_well + len(wells.sites) + len(sides)))
+    p, q, along = branches(apertures, wells.sites, len(network.x), first_well)
+    a, b, g = np.append(places[a], places[p]), np.append(places[b], places[q]), np.append(g, along)
+    conducts = (a != b) & (g > 0.0)
+    a, b, g = a[conducts], b[conducts], g[conducts]
     for number, well in enumerate(wells.sites):
         if well.skin > 0.0:
             rock = 2.0 * np.pi * wells.mobility[number]
@@ -263,29 +270,98 @@ def _connections(
                     f"well {well.name} has a skin_factor, which needs a permeability of the rock "
                     "between the well and the rim, but no pipe of the rock conducts there"
                 )
-            a, b, g = with_skin(a, b, g, len(network.x) + number, rock / well.skin)
+            a, b, g = with_skin(a, b, g, first_well + number, rock / well.skin)
     return a, b, g
+
+
+def _rock(
+    network: Network, apertures: Apertures, rim: np.ndarray, wells: int
+) -> tuple[Edges, Cuts]:
+    """Connections of the pores without wells and traces, and what will cut them.
+
+    `rim` (b,) is the source at which each pipe across the rim ends, −1 at a sealed side.
+    """
+    place = np.column_stack([network.x, network.y])
+    within = network.inside[network.pipe_from] & network.inside[network.pipe_to]
+    pipe = np.flatnonzero(within & (apertures.conductance > 0.0))
+    j = network.pipe_to[pipe]
+    along = np.where(apertures.on_fracture >= 0, np.arange(len(apertures.on_fracture)), -1)
+
+    k, m, around = _around_sealed_sides(network, apertures, rim < 0)
+    inner = network.cut_inside
+
+    cut = np.flatnonzero((rim >= 0) & (apertures.cut_conductance > 0.0))
+    outer, part = network.cut_outside[cut], network.cut_fraction[cut]
+    end = place[inner[cut]] + part[:, None] * (place[outer] - place[inner[cut]])
+    rock = np.full(len(k), -1)
+    a = np.concatenate([network.pipe_from[pipe], inner[k], inner[cut]])
+    edges = Edges(
+        a=a,
+        b=np.concatenate([j, inner[m], len(network.x) + wells + rim[cut]]),
+        g=np.concatenate([apertures.conductance[pipe], around, apertures.cut_conductance[cut]]),
+        end=np.concatenate([place[j], place[inner[m]], end]),
+        pipe=np.concatenate([along[pipe], rock, along[network.cut[cut]]]),
+        way=np.arange(len(a)),
+        turned=np.zeros(len(a), dtype=bool),
+    )
+    backward = network.inside[network.pipe_to[network.cut]]
+    whole = apertures.cut_conductance * network.cut_fraction**2
+    share = whole[m] / (whole[k] + whole[m])
+    # flow of one pipe that parts into several beyond the side meets a barrier on it but once
+    meets = np.where((rim < 0) & (whole > 0.0), whole, 0.0)
+    total = np.bincount(network.cut_outside, weights=meets, minlength=len(network.x))
+    others = np.bincount(network.cut_outside[meets > 0.0], minlength=len(network.x)) - 2
+    once = 1.0 + others[network.cut_outside] * whole / np.maximum(total[network.cut_outside], TINY)
+    first = cuts_of(apertures, network.cut[k], backward[k], np.ones(len(k)))
+    second = cuts_of(apertures, network.cut[m], backward[m], np.ones(len(m)))
+    pores = np.zeros(len(pipe), dtype=bool)
+    cuts = (
+        cuts_of(apertures, pipe, pores, np.ones(len(pipe))),
+        first.scaled(share, (once * whole)[k] * share / around).shifted(len(pipe)),
+        second.scaled(1.0 - share, (once * whole)[m] * (1.0 - share) / around)
+        .back()
+        .shifted(len(pipe)),
+        cuts_of(apertures, network.cut[cut], backward[cut], part).shifted(len(pipe) + len(k)),
+    )
+    return edges, Cuts(*(np.concatenate(columns) for columns in zip(*cuts, strict=True)))
+
+
+def _seen_from_wells(
+    cuts: Cuts, edges: Edges, network: Network, apertures: Apertures, wells: Wells
+) -> Cuts:
+    """Cuts of what leaves a well where a logarithmic field has them, as parts of the resistance."""
+    well = edges.a[cuts.way] - len(network.x)
+    of_well = np.flatnonzero((well >= 0) & (cuts.node >= 0))
+    if len(of_well) == 0:
+        return cuts
+    at = np.array([site.at for site in wells.sites])[well[of_well]]
+    radius = np.array([site.radius for site in wells.sites])[well[of_well]]
+    node = cuts.node[of_well]
+    here = np.hypot(apertures.node_x[node] - at[:, 0], apertures.node_y[node] - at[:, 1])
+    far = np.hypot(*(edges.end[cuts.way[of_well]] - at).T)
+    fraction = cuts.fraction.copy()
+    outside = far > radius
+    logs = np.log(np.maximum(here, radius)[outside] / radius[outside])
+    fraction[of_well[outside]] = logs / np.log(far[outside] / radius[outside])
+    return cuts._replace(fraction=fraction)
 
 
 def _around_sealed_sides(
     network: Network, apertures: Apertures, sealed: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Edges that stand for the pores cut by a sealed side.
+    """Edges that stand for the pores cut by a sealed side, between pipes across the rim.
 
     Simply dropping the pipes that cross a sealed side narrows the region by some 0.4 of a
     pore on each side. A pipe keeps the part t of its conductance that lies inside instead,
     so that a pressure gradient along the side meets its full share of rock, and the pore
     beyond, which then joins only pores inside, is eliminated: g_i g_k / Σ g between each
-    two of its neighbours.
+    two of its neighbours. Returns positions of two pipes among those across the rim, (k,)
+    each, and the conductance of the way from one to the other.
     """
-    fraction = network.cut_fraction[sealed]
-    conductance = apertures.cut_conductance[sealed] * fraction**2
-    conducts = conductance > 0.0
-    inner = network.cut_inside[sealed][conducts]
-    outer = network.cut_outside[sealed][conducts]
-    conductance = conductance[conducts]
-    order = np.argsort(outer, kind="stable")
-    inner, outer, conductance = inner[order], outer[order], conductance[order]
+    conductance = apertures.cut_conductance * network.cut_fraction**2
+    crossing = np.flatnonzero(sealed & (conductance > 0.0))
+    crossing = crossing[np.argsort(network.cut_outside[crossing], kind="stable")]
+    outer, conductance = network.cut_outside[crossing], conductance[crossing]
     _, first, count = np.unique(outer, return_index=True, return_counts=True)
     total = np.repeat(np.add.reduceat(conductance, first) if len(first) else first, count)
     pairs = []
@@ -294,7 +370,17 @@ def _around_sealed_sides(
         first_of = np.flatnonzero(outer[step:] == outer[:-step])
         pairs.append(np.column_stack([first_of, first_of + step]))
     k, m = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]).T
-    return inner[k], inner[m], conductance[k] * conductance[m] / total[k]
+    return crossing[k], crossing[m], conductance[k] * conductance[m] / total[k]
+
+
+def _sides_of_nodes(apertures: Apertures, source: np.ndarray) -> np.ndarray:
+    """The source that fixes each node where a trace leaves the region, (m,), −1 where none does.
+
+    At a corner of a sealed and a fixed side the trace meets the fixed one.
+    """
+    side = apertures.node_side
+    one, other = (np.where(side[:, k] >= 0, source[side[:, k]], -1) for k in (0, 1))
+    return np.where(one >= 0, one, other)
 
 
 def sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:

@@ -24,7 +24,7 @@ from demflow.model.flow.linear.factor import analyse, factorise, solve
 from demflow.model.network.connectivity import component_labels, reached
 from demflow.model.network.domains import domains_at
 from demflow.model.outcome import ModelError
-from demflow.model.products import Apertures, Network
+from demflow.model.products import Network
 
 # A pore may touch the wellbore; what joins the two is at most its pipe over this part.
 WELL_FLOOR = 0.02
@@ -57,6 +57,8 @@ class Edges(NamedTuple):
     g: np.ndarray  # (e,) m³/(s Pa)
     end: np.ndarray  # (e, 2) m: where b lies, on a side the place where the pipe meets it
     pipe: np.ndarray  # (e,) the pipe along a fracture, −1 in the rock
+    way: np.ndarray  # (e,) the edge without wells that it is a part of, −1 none
+    turned: np.ndarray  # (e,) bool: that edge runs from b to a
 
     def only(self, which: np.ndarray) -> Edges:
         """Some of them."""
@@ -79,6 +81,8 @@ class Star(NamedTuple):
     end: np.ndarray  # (s, 2) m
     most: np.ndarray  # (s,) largest conductance, m³/(s Pa)
     g: np.ndarray  # (s,) m³/(s Pa) before the common factor
+    way: np.ndarray  # (s,) as of edges
+    turned: np.ndarray  # (s,)
 
 
 def pores_of_wells(network: Network, wells: tuple[WellSite, ...]) -> list[np.ndarray]:
@@ -105,7 +109,7 @@ def pores_of_wells(network: Network, wells: tuple[WellSite, ...]) -> list[np.nda
     return taken
 
 
-def join_wells(edges: Edges, network: Network, apertures: Apertures, wells: Wells) -> Edges:
+def join_wells(edges: Edges, network: Network, wells: Wells) -> Edges:
     """Edges between terminals with the wells in place of the pores that they take."""
     if not wells.sites:
         return edges
@@ -117,7 +121,7 @@ def join_wells(edges: Edges, network: Network, apertures: Apertures, wells: Well
     along = touching.only((touching.pipe >= 0) & (owner[touching.a] >= 0))
     parts = [
         edges.only((owner[edges.a] < 0) & (owner[edges.b] < 0)),
-        _along_traces(along, network, apertures, wells, owner),
+        _along_fractures(along, network, wells, owner),
     ]
     rock, touching = edges.only(edges.pipe < 0), touching.only(touching.pipe < 0)
     for group in _groups(touching, wells, d):
@@ -134,7 +138,7 @@ def _both_ways(edges: Edges, network: Network) -> Edges:
     """Every edge from each of its pores."""
     back = edges.only(edges.b < len(network.x))
     place = np.column_stack([network.x[back.a], network.y[back.a]])
-    turned = Edges(back.b, back.a, back.g, place, back.pipe)
+    turned = back._replace(a=back.b, b=back.a, end=place, turned=~back.turned)
     return Edges(*(np.concatenate(columns) for columns in zip(edges, turned, strict=True)))
 
 
@@ -164,22 +168,15 @@ def _groups(touching: Edges, wells: Wells, pores: int) -> list[Group]:
     return groups
 
 
-def _along_traces(
-    leaving: Edges, network: Network, apertures: Apertures, wells: Wells, owner: np.ndarray
-) -> Edges:
+def _along_fractures(leaving: Edges, network: Network, wells: Wells, owner: np.ndarray) -> Edges:
     """Pipes along fractures that leave a well, from its wall on."""
     well, other = owner[leaving.a], owner[leaving.b]
     kept = (other != well) & ((other < 0) | (well < other))
     leaving, well, other = leaving.only(kept), well[kept], other[kept]
     g = leaving.g.copy()
-    forward = network.pipe_from[leaving.pipe] == leaving.a
-    to, back = apertures.pipe_trace_to[leaving.pipe], apertures.pipe_trace_from[leaving.pipe]
-    place = np.where(forward, to, back)
     for k in np.unique(well):
         site = wells.sites[k]
-        ours = np.flatnonzero((well == k) & ~np.isnan(place))
-        g[ours] = _trace_at_well(apertures, site, leaving.pipe[ours], place[ours], g[ours])
-        ours = np.flatnonzero((well == k) & np.isnan(place))
+        ours = np.flatnonzero(well == k)
         start = np.column_stack([network.x, network.y])[leaving.a[ours]]
         whole = np.linalg.norm(leaving.end[ours] - start, axis=1)
         centre = start if len(wells.taken[k]) == 1 else np.asarray(site.at)
@@ -207,7 +204,7 @@ def _calibrated(rest: Edges, from_it: Edges, network: Network, wells: Wells, gro
         if off < GOOD_FIT:
             break
     parts = [
-        (k, star.to, np.minimum(f * unit * star.g, star.most), star.end)
+        (k, star.to, np.minimum(f * unit * star.g, star.most), star.end, star.way, star.turned)
         for k, star, f in zip(members, stars, factors, strict=False)
     ]
     parts += [
@@ -216,14 +213,15 @@ def _calibrated(rest: Edges, from_it: Edges, network: Network, wells: Wells, gro
             np.array([len(network.x) + members[j]]),
             np.array([unit * f]),
             fields[j].at[None],
+            np.array([-1]),
+            np.array([False]),
         )
         for (i, j), f in zip(pairs, factors[len(members) :], strict=True)
     ]
-    well, to, g, end = zip(*parts, strict=True)
-    count = [len(part) for part in g]
-    a = len(network.x) + np.repeat(well, count)
-    b = np.concatenate(to)
-    return Edges(a, b, np.concatenate(g), np.concatenate(end), np.full(len(a), -1))
+    well, *columns = zip(*parts, strict=True)
+    to, g, end, way, turned = (np.concatenate(column) for column in columns)
+    a = len(network.x) + np.repeat(well, [len(part) for part in columns[0]])
+    return Edges(a, to, g, end, np.full(len(a), -1), way, turned)
 
 
 def _fitted(
@@ -278,7 +276,8 @@ def _star(
     rise = field.at_points(leaves.end) - field.at_wall
     g = flow / np.maximum(rise, LEAST_RISE) / unit
     out = ~np.isin(leaves.b, pores)
-    return Star(leaves.b[out], leaves.end[out], leaves.g[out] / WELL_FLOOR, g[out])
+    most = leaves.g[out] / WELL_FLOOR
+    return Star(leaves.b[out], leaves.end[out], most, g[out], leaves.way[out], leaves.turned[out])
 
 
 def _tilt(flow: np.ndarray, end: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -418,30 +417,6 @@ def _slopes(
         flow = link * (found.pressure[k] - found.pressure[m])
         change[at] = np.outer(found.by_well[:, m] - found.by_well[:, k], flow)
     return change
-
-
-def _trace_at_well(
-    apertures: Apertures,
-    well: WellSite,
-    pipe: np.ndarray,
-    place: np.ndarray,
-    conductance: np.ndarray,
-) -> np.ndarray:
-    """Conductance T / (distance along the trace from the well's wall) of calibrated pipes."""
-    result = conductance.copy()
-    for k, p in enumerate(pipe):
-        trace = apertures.on_fracture[p]
-        start, end = apertures.trace_start[trace], apertures.trace_end[trace]
-        along = (end - start) / np.hypot(*(end - start))
-        offset = start - np.asarray(well.at)
-        half = offset @ along
-        square = half * half - offset @ offset + well.radius**2
-        if square <= 0.0:
-            continue
-        whole = abs(apertures.pipe_trace_to[p] - apertures.pipe_trace_from[p])
-        distance = max(abs(place[k] + half) - np.sqrt(square), WELL_FLOOR * whole)
-        result[k] = apertures.trace_transmissivity[trace] / distance
-    return result
 
 
 def with_skin(

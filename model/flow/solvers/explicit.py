@@ -94,6 +94,7 @@ def paper_step(
     cubed = apertures.conductance * network.pipe_length  # w³ / (12 μ)
     pipes = np.bincount(ends, minlength=d)
     root = np.bincount(ends, weights=np.tile(np.cbrt(cubed), 2), minlength=d)
+    domains = domains[domains < d]
     corners = np.diff(network.corner_start)
     around = np.repeat(np.arange(d), corners)
     radius = np.bincount(around, weights=network.grain_radius[network.corner_grain], minlength=d)

@@ -17,7 +17,7 @@ from demflow.model.flow.equation.sites import WellSite
 from demflow.model.flow.equation.system import System, without_outlet
 from demflow.model.flow.solvers.steady import steady
 from demflow.model.outcome import ModelError
-from demflow.model.products import Network
+from demflow.model.products import Apertures, Network
 
 STARTS = ("uniform", "gradient", "steady")
 
@@ -31,10 +31,13 @@ class Initial(NamedTuple):
     volume: np.ndarray  # (fields,) m³ stored above the mean or lacking below it
 
 
-def with_linear_fields(system: System, network: Network, wells: tuple[WellSite, ...]) -> System:
+def with_linear_fields(
+    system: System, network: Network, apertures: Apertures, wells: tuple[WellSite, ...]
+) -> System:
     """The system with the fields x and y (m), for a pressure gradient of 1 Pa/m along either."""
     fields = np.empty((2, system.n))
-    for field, places, axis in zip(fields, (network.x, network.y), (0, 1), strict=True):
+    x, y = np.append(network.x, apertures.node_x), np.append(network.y, apertures.node_y)
+    for field, places, axis in zip(fields, (x, y), (0, 1), strict=True):
         field[: len(system.domain)] = places[system.domain]
         field[system.well_node] = [wells[k].at[axis] for k in system.rate_wells]
     return system._replace(initial=fields)

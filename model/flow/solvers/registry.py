@@ -199,7 +199,7 @@ def flow(
         sides=sides,
     )
     if initial == "gradient":
-        system = with_linear_fields(system, network, wells)
+        system = with_linear_fields(system, network, apertures, wells)
     points = np.array([p.at for p in probes]).reshape(-1, 2)
     probed = between_pores(network, apertures, region, system, points)
     problem = Problem(
@@ -207,7 +207,7 @@ def flow(
         records=outputs(system, probed),
         lag=lags(times, wells),
         active=np.asarray(active, dtype=bool),
-        domain=np.flatnonzero(network.inside) if record_map else np.empty(0, dtype=np.int64),
+        domain=_mapped(network, apertures) if record_map else np.empty(0, dtype=np.int64),
         tolerance=tolerance,
         safety_factor=safety_factor,
         step=paper_step(network, apertures, bulk_modulus, system.domain)
@@ -247,6 +247,12 @@ def flow(
         solver=np.asarray(choice.method),
         solver_reason=np.asarray(choice.reason),
     )
+
+
+def _mapped(network: Network, apertures: Apertures) -> np.ndarray:
+    """Places whose pressure maps hold: domains inside the region, then the nodes of traces."""
+    nodes = len(network.x) + np.arange(len(apertures.node_x))
+    return np.append(np.flatnonzero(network.inside), nodes)
 
 
 def _foresee(problem: Problem) -> None:

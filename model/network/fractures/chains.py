@@ -1,6 +1,6 @@
-"""Fracture traces on the network: which pipes run along a line, and which across it.
+"""Fractures as chains of the matrix's own pipes: those that run along a line.
 
-A trace gives every grain one sign, the side on which its centre lies (zero counts as
+A line gives every grain one sign, the side on which its centre lies (zero counts as
 minus). The contacts whose two grains differ in sign cross the line; walking from face
 to face across them gives a chain of pipes that cannot break, however the grains lie.
 """
@@ -62,36 +62,7 @@ def chain_along(network: Network, line: Line) -> Chain:
     )
 
 
-def pipes_across(network: Network, line: Line) -> np.ndarray:
-    """Pipes whose segment from centroid to centroid crosses the trace, as a mask (p,).
-
-    A trace that leaves the region is continued beyond the rim, where its pores end.
-    """
-    start, end = np.asarray(line.start), np.asarray(line.end)
-    along = (end - start) / line.length
-    reach = _reach(network)
-    start = start - along * (reach if line.start_at_rim else 0.0)
-    end = end + along * (reach if line.end_at_rim else 0.0)
-    p = np.column_stack([network.x[network.pipe_from], network.y[network.pipe_from]])
-    q = np.column_stack([network.x[network.pipe_to], network.y[network.pipe_to]])
-    plus_p, plus_q = _side(p, start, end), _side(q, start, end)
-    differ = np.flatnonzero(plus_p != plus_q)
-    crosses = np.zeros(len(p), dtype=bool)
-    crosses[differ] = _side(np.broadcast_to(start, (len(differ), 2)), p[differ], q[differ]) != (
-        _side(np.broadcast_to(end, (len(differ), 2)), p[differ], q[differ])
-    )
-    return crosses
-
-
-def _side(points: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Whether points (n, 2) lie strictly left of the directed line(s) start → end."""
-    start, end = np.atleast_2d(start), np.atleast_2d(end)
-    return (end[:, 0] - start[:, 0]) * (points[:, 1] - start[:, 1]) > (end[:, 1] - start[:, 1]) * (
-        points[:, 0] - start[:, 0]
-    )
-
-
-def _reach(network: Network) -> float:
+def reach(network: Network) -> float:
     """A distance that spans a few of the largest pores, m."""
     return 4.0 * float(np.sqrt(network.area.max()))
 
@@ -115,9 +86,9 @@ def _walk(network: Network, line: Line) -> tuple[np.ndarray, np.ndarray, np.ndar
     where = np.full(len(g), np.nan)
     where[crossed] = s[g[crossed]] + t * (s[h[crossed]] - s[g[crossed]])
 
-    reach = _reach(network)
-    low = -reach if line.start_at_rim else 0.0
-    high = line.length + (reach if line.end_at_rim else 0.0)
+    beyond = reach(network)
+    low = -beyond if line.start_at_rim else 0.0
+    high = line.length + (beyond if line.end_at_rim else 0.0)
     candidates = crossed[(where[crossed] >= low) & (where[crossed] <= high)]
     if len(candidates) == 0:
         nothing = np.empty(0, dtype=np.int64)

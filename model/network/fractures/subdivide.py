@@ -1,0 +1,96 @@
+"""Connections that traces and barriers cut, as chains of shorter ones."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.products import Apertures
+
+# A trace may pass through a centroid; the distance of each keeps this part of the pipe's.
+NEAREST = 0.02
+
+# Traces may cross a pipe at one place; the distances between keep this part of the pipe's.
+CLOSEST = 1e-6
+
+
+class Cuts(NamedTuple):
+    """Where traces and barriers cut connections, each from its `a` to its `b`."""
+
+    way: np.ndarray  # (c,) the connection
+    fraction: np.ndarray  # (c,) part of its resistance that lies before
+    node: np.ndarray  # (c,) node of the trace, −1 at a barrier
+    resistance: np.ndarray  # (c,) Pa s/m³ that a barrier adds, 0 at a trace
+
+    def shifted(self, by: int) -> Cuts:
+        """The same of connections numbered from `by` on."""
+        return self._replace(way=self.way + by)
+
+    def scaled(self, share: np.ndarray, weight: np.ndarray) -> Cuts:
+        """Cuts of the first `share` (n,) of longer connections, barriers weighted (n,)."""
+        return self._replace(
+            fraction=self.fraction * share[self.way],
+            resistance=self.resistance * weight[self.way],
+        )
+
+    def back(self) -> Cuts:
+        """Cuts of connections from `b` to `a`."""
+        return self._replace(fraction=1.0 - self.fraction)
+
+    def along(self, way: np.ndarray, turned: np.ndarray) -> Cuts:
+        """Cuts of those connections that are parts (n,) of these ways, turned or not."""
+        place = np.full(int(max(way.max(initial=-1), self.way.max(initial=-1))) + 1, -1)
+        known = np.flatnonzero(way >= 0)
+        place[way[known]] = known
+        kept = Cuts(*(column[place[self.way] >= 0] for column in self))
+        way = place[kept.way]
+        fraction = np.where(turned[way], 1.0 - kept.fraction, kept.fraction)
+        return kept._replace(way=way, fraction=fraction)
+
+
+def cuts_of(apertures: Apertures, pipe: np.ndarray, backward: np.ndarray, part: np.ndarray) -> Cuts:
+    """What cuts connections (n,) along pipes of the network; a pipe may have several.
+
+    `backward` (n,) ones run from the end at `pipe_to`, and each covers a `part` (n,) of its pipe.
+    """
+    first = np.searchsorted(apertures.cross_pipe, pipe)
+    count = np.searchsorted(apertures.cross_pipe, pipe, side="right") - first
+    way = np.repeat(np.arange(len(pipe)), count)
+    cross = np.arange(len(way)) - np.repeat(np.cumsum(count) - count - first, count)
+    fraction = apertures.cross_fraction[cross]
+    fraction = np.where(backward[way], 1.0 - fraction, fraction) / part[way]
+    found = Cuts(way, fraction, apertures.cross_node[cross], apertures.cross_resistance[cross])
+    return Cuts(*(column[fraction <= 1.0] for column in found))
+
+
+def subdivide(
+    a: np.ndarray, b: np.ndarray, conductance: np.ndarray, cuts: Cuts, first_node: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Connections (n,) from `a` to `b`, m³/(s Pa), with every trace and barrier on their way.
+
+    A trace crossed at the fraction t parts a conductance g in g / t and g / (1 − t), a barrier
+    adds its resistance in series where it stands. Node k of the traces is terminal
+    `first_node` + k. Only sums of resistances are formed, so that no contrast costs a digit.
+    """
+    count = len(a)
+    if len(cuts.way) == 0:
+        return a, b, conductance
+    order = np.lexsort((cuts.fraction, cuts.way))
+    owner, node, resistance = (column[order] for column in (cuts.way, cuts.node, cuts.resistance))
+    fraction = np.clip(cuts.fraction[order], NEAREST, 1.0 - NEAREST)
+    stop = node >= 0
+    # the stretch before each place: numbered through, the last one of a way after its places
+    stretch = np.cumsum(stop) - stop + owner
+    before = stretch[stop]
+    stretches = count + len(before)
+    last = np.cumsum(np.bincount(owner[stop], minlength=count) + 1) - 1
+    added = np.bincount(stretch[~stop], weights=resistance[~stop], minlength=stretches)
+    start, end = np.empty(stretches, dtype=np.int64), np.empty(stretches, dtype=np.int64)
+    begin, finish = np.zeros(stretches), np.ones(stretches)
+    end[last], end[before] = b, first_node + node[stop]
+    finish[before] = fraction[stop]
+    start[np.append(0, last[:-1] + 1)] = a
+    start[before + 1], begin[before + 1] = end[before], finish[before]
+    whole = np.repeat(conductance, np.diff(np.append(-1, last)))
+    return start, end, whole / (np.maximum(finish - begin, CLOSEST) + whole * added)
