@@ -447,7 +447,7 @@ def _digest(prepared: Project, verdicts: list[Verdict]) -> str:
     """What a dataset of these products and verdicts is made from, as a hash."""
     study = prepared.study
     made = f"{COLLECTOR} {study.sha256} {study.smoke} {prepared.plan.digest()}"
-    told = hashlib.sha256(made.encode())
+    made_from = hashlib.sha256(made.encode())
     for ended in verdicts:
-        told.update(f"{int(ended.status)} {ended.message}\n".encode())
-    return told.hexdigest()
+        made_from.update(f"{int(ended.status)} {ended.message}\n".encode())
+    return made_from.hexdigest()

@@ -70,13 +70,13 @@ def check(options: argparse.Namespace) -> int:
             show(str(error))
         return WRONG
     cases = _product(study.shape)
-    told = told_traces(study)
+    summary = told_traces(study)
     if options.json:
         good = {"valid": True, "problems": [], "study": study.name, "cases": cases}
-        _print_json(good | {"traces": told})
+        _print_json(good | {"traces": summary})
     else:
         show(f"{options.study}: valid, {_count(cases, 'case')}")
-        for line in told:
+        for line in summary:
             show(line)
     return GOOD
 
@@ -86,17 +86,17 @@ def plan(options: argparse.Namespace) -> int:
     from demflow.sweep.command.forecast import forecast
     from demflow.sweep.execution.progress import duration, size
 
-    told = forecast(_prepare(options), options.workers)
-    for warning in told["warnings"]:
+    summary = forecast(_prepare(options), options.workers)
+    for warning in summary["warnings"]:
         say(f"warning: {warning}")
     if options.json:
-        _print_json(told)
+        _print_json(summary)
         return GOOD
-    show(f"{_count(told['cases'], 'case')}, {options.workers} workers")
-    if told["impossible"]:
-        show(f"{_count(told['impossible'], 'case')} cannot be: see demflow status")
+    show(f"{_count(summary['cases'], 'case')}, {options.workers} workers")
+    if summary["impossible"]:
+        show(f"{_count(summary['impossible'], 'case')} cannot be: see demflow status")
     rows = [("stage", "runs", "shared", "stored", "failed", "to run", "each", "time", "disk")]
-    for stage in (stage for stage in told["stages"] if stage["runs"]):
+    for stage in (stage for stage in summary["stages"] if stage["runs"]):
         counts = (stage[key] for key in ("runs", "shared", "stored", "failed", "to_run"))
         needed = stage["to_run"] > 0
         rows.append(
@@ -114,14 +114,14 @@ def plan(options: argparse.Namespace) -> int:
         show("  ".join((name.ljust(widths[0]), *numbers)))
     for name, unit in (("seconds", duration), ("bytes", size), ("memory", size)):
         label = {"seconds": "time", "bytes": "disk"}.get(name, name)
-        more = "" if told[name] is not None else "at least "
-        least = told["at_least"][name]
+        more = "" if summary[name] is not None else "at least "
+        least = summary["at_least"][name]
         show(f"expected {label}: {'?' if more and not least else more + unit(least)}")
-    if told["unknown"]:
-        show(f"?: never run on this machine: {', '.join(told['unknown'])}")
-    if told["compiling"]:
-        show(f"{duration(told['compiling'])} of the time: compiling, once on this machine")
-    time, memory = told["limits"]["time"], told["limits"]["memory"]
+    if summary["unknown"]:
+        show(f"?: never run on this machine: {', '.join(summary['unknown'])}")
+    if summary["compiling"]:
+        show(f"{duration(summary['compiling'])} of the time: compiling, once on this machine")
+    time, memory = summary["limits"]["time"], summary["limits"]["memory"]
     show(f"limits of a case: {duration(time)}, {size(memory)} (the study's limits, or by default)")
     return GOOD
 
@@ -223,8 +223,8 @@ def verify(options: argparse.Namespace) -> int:
     found = verify(options.folder)
     if options.json:
         damaged = [{"file": str(path), "problem": what} for path, what in found.damaged]
-        told = {"checked": found.checked, "damaged": damaged, "set_aside": found.set_aside}
-        _print_json(told)
+        summary = {"checked": found.checked, "damaged": damaged, "set_aside": found.set_aside}
+        _print_json(summary)
     else:
         for path, what in found.damaged:
             show(f"{path}: {what}")
@@ -291,9 +291,13 @@ def _tell_places(finished: Finished, options: argparse.Namespace) -> None:
     if finished.report is not None:
         places["report"] = finished.report
     if options.json:
-        told = {"study": finished.folder.name, "cases": finished.cases, "failed": finished.failed}
+        summary = {
+            "study": finished.folder.name,
+            "cases": finished.cases,
+            "failed": finished.failed,
+        }
         computed = finished.executed.computed if finished.executed else 0
-        _print_json({**told, "computed": computed, **{k: str(v) for k, v in places.items()}})
+        _print_json({**summary, "computed": computed, **{k: str(v) for k, v in places.items()}})
         return
     for name, path in places.items():
         show(f"{name:8} {path}")

@@ -153,8 +153,8 @@ def _explain(panel: Axes, result: SpeedError) -> None:
     *others, largest = (f"{n:,}" for n in sorted(result.sizes))
     sizes = f"{largest} grains; faint: {_list(others)}." if others else f"{largest} grains."
     packings = max((len(model.error) for model in result.models), default=1)
-    told = _NOTE.format(sizes=sizes, packings=packings)
-    lines = [textwrap.fill(part, 46) for part in told.split("\n\n")]
+    note = _NOTE.format(sizes=sizes, packings=packings)
+    lines = [textwrap.fill(part, 46) for part in note.split("\n\n")]
     panel.text(0.02, 0.84, "\n\n".join(lines), va="top", fontsize=8.5, transform=panel.transAxes)
 
 

@@ -74,8 +74,8 @@ def _module(path: str, _changed: int) -> Module:
     content = Path(path).read_bytes()
     kept = _cache_folder() / hashlib.sha256(b"%d " % FORMAT + content).hexdigest()
     with suppress(OSError, ValueError, TypeError, KeyError):
-        told = json.loads(kept.read_text())
-        return Module(str(told["digest"]), tuple(map(str, told["imports"])))
+        record = json.loads(kept.read_text())
+        return Module(str(record["digest"]), tuple(map(str, record["imports"])))
     tree = ast.parse(content)
     module = Module(_digest(tree), tuple(sorted(set(_imports(tree)))))
     with suppress(OSError):

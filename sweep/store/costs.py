@@ -104,14 +104,14 @@ class Costs:
     def _take(self, file: Path) -> None:
         """Let what a file tells stand before what is known."""
         try:
-            told: dict[str, Any] = json.loads(file.read_text())
-            if told["machine"] != machine():
+            record: dict[str, Any] = json.loads(file.read_text())
+            if record["machine"] != machine():
                 return
             known = {
                 key: {int(step): spent for step, spent in _spent(sizes) if spent.possible}
-                for key, sizes in told["stages"].items()
+                for key, sizes in record["stages"].items()
             }
-            start, main = told.get("start"), int(told.get("main", 0))
+            start, main = record.get("start"), int(record.get("main", 0))
             start = None if start is None or not 0.0 <= float(start) < math.inf else float(start)
         except (OSError, ValueError, TypeError, AttributeError, KeyError):
             return
@@ -122,17 +122,22 @@ class Costs:
 
     def write(self, store: Store, *, everywhere: bool = False) -> None:
         """Keep the totals for the next run; raises OSError where the store cannot be written."""
-        told = {"machine": machine(), "start": self.start, "main": self.main, "stages": self.known}
-        write_durably(_file(store), json.dumps(told, indent=1).encode())
+        record = {
+            "machine": machine(),
+            "start": self.start,
+            "main": self.main,
+            "stages": self.known,
+        }
+        write_durably(_file(store), json.dumps(record, indent=1).encode())
         if everywhere:
             with suppress(OSError):
                 others = Costs()
                 others._take(machine_file())
-                told["stages"] = {
+                record["stages"] = {
                     key: others.known.get(key, {}) | self.known.get(key, {})
                     for key in others.known | self.known
                 }
-                write_durably(machine_file(), json.dumps(told, indent=1).encode())
+                write_durably(machine_file(), json.dumps(record, indent=1).encode())
 
     def add(
         self, kind: CostClass, seconds: float, stored: int, memory: int = 0, compiled: bool = False

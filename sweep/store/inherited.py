@@ -26,7 +26,7 @@ from demflow.sweep.study.scenes import SceneBuilder
 
 def note(store: Store, study: Study, plan: Plan) -> None:
     """Keep what the stages that work in this store now make of a study. Raises OSError."""
-    told = {
+    record = {
         "demflow": installed("demflow"),
         "stages": {stage.name: stage.version for stage in plan.stages},
         "sources": {stage.name: stage.sources for stage in plan.stages},
@@ -34,7 +34,7 @@ def note(store: Store, study: Study, plan: Plan) -> None:
         "products": _first_products(plan),
     }
     keep_study(store.root / _STUDY, study)
-    path, content = store.root / _NOTE, json.dumps(told, indent=1).encode()
+    path, content = store.root / _NOTE, json.dumps(record, indent=1).encode()
     if not path.exists() or path.read_bytes() != content:
         write_durably(path, content)
 
@@ -45,12 +45,12 @@ def inherited(store: Store, plan: Plan) -> str | None:
     Nothing is known of a store without the note of its versions, and nothing said.
     """
     try:
-        told: Mapping[str, Any] = json.loads((store.root / _NOTE).read_text())
-        before: Mapping[str, int] = dict(told["stages"])
-        sources: Mapping[str, str] = dict(told.get("sources", {}))
+        record: Mapping[str, Any] = json.loads((store.root / _NOTE).read_text())
+        before: Mapping[str, int] = dict(record["stages"])
+        sources: Mapping[str, str] = dict(record.get("sources", {}))
         there = {name: store.has(made) for name, (_, made) in _first_products(plan).items()}
-        made_by = str(told["demflow"])
-        same = _same_products(store, plan, told)
+        made_by = str(record["demflow"])
+        same = _same_products(store, plan, record)
     except (OSError, ValueError, TypeError, KeyError, IndexError):
         return None
     kept: list[str] = []
@@ -88,11 +88,11 @@ def _first_products(plan: Plan) -> dict[str, tuple[int, str]]:
     return found
 
 
-def _same_products(store: Store, plan: Plan, told: Mapping[str, Any]) -> dict[str, bool]:
+def _same_products(store: Store, plan: Plan, record: Mapping[str, Any]) -> dict[str, bool]:
     """Whether each stage gives what was noted the same identity, as far as that can be seen."""
-    noted = {stage: (int(case), str(made)) for stage, (case, made) in told["products"].items()}
+    noted = {stage: (int(case), str(made)) for stage, (case, made) in record["products"].items()}
     try:
-        study = load_study(store.root / _STUDY, smoke=bool(told["smoke"]))
+        study = load_study(store.root / _STUDY, smoke=bool(record["smoke"]))
     except StudyError:  # by what a study may be now
         return {}
     numbers = sorted({case for case, _ in noted.values()})

@@ -36,9 +36,9 @@ def with_origins(stages: Stages, store: Store) -> Stages:
     )
 
 
-def as_made(stages: Stages, told: str) -> Stages:
+def as_made(stages: Stages, record: str) -> Stages:
     """The table of stages with the sources that a dataset tells (`sources_told`)."""
-    sources = dict(part.split(" ", 1) for part in told.split(", ") if " " in part)
+    sources = dict(part.split(" ", 1) for part in record.split(", ") if " " in part)
     return tuple(replace(stage, sources=sources.get(stage.name, "")) for stage in stages)
 
 
@@ -62,9 +62,9 @@ def note_origins(store: Store, stages: Stages) -> None:
 def _noted(store: Store) -> dict[str, str]:
     """The first sources of each stage and version, nothing where that cannot be read."""
     with suppress(OSError, ValueError):
-        told: Any = json.loads((store.root / NOTE).read_text())
-        if isinstance(told, Mapping):
-            return {str(key): str(value) for key, value in told.items()}
+        record: Any = json.loads((store.root / NOTE).read_text())
+        if isinstance(record, Mapping):
+            return {str(key): str(value) for key, value in record.items()}
     return {}
 
 

@@ -67,6 +67,7 @@ def marched(tmp_path_factory):
     return path, run(path)
 
 
+@pytest.mark.slow
 def test_what_marches_by_legs_is_what_is_superposed(marched):
     """Whatever is shared, each case is its own schedule; and the legs bear no trace of it."""
     path, finished = marched
@@ -79,6 +80,7 @@ def test_what_marches_by_legs_is_what_is_superposed(marched):
         np.testing.assert_allclose(seen.well_pressure[case, 0], exact, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_events_stand_case_after_case_with_the_count_of_each(tmp_path, monkeypatch):
     """Over two axes, whatever is collected at once; what failed or had none counts as none."""
     steps = {
@@ -124,6 +126,7 @@ def test_quantities_of_the_events_of_a_case_are_as_many(tmp_path):
             ragged.flush(Tile(range(1), (), ()))
 
 
+@pytest.mark.slow
 def test_what_is_stored_serves_a_later_end_and_a_further_change(tmp_path):
     """A last time that grows costs the last leg anew, a further change of a rate one more."""
     first = run(write(tmp_path, {"a": (1.0, 2.0)}))
@@ -135,6 +138,7 @@ def test_what_is_stored_serves_a_later_end_and_a_further_change(tmp_path):
     assert run(write(tmp_path, {"a": (1.0, 2.0, 3.0)}, last=40.0)).executed is None
 
 
+@pytest.mark.slow
 def test_a_killed_worker_loses_no_finished_leg(tmp_path, monkeypatch):
     """The leg under which it died is run again, those before it are not; the bits are the same."""
     diary = tmp_path / "diary"
@@ -157,6 +161,7 @@ def test_a_killed_worker_loses_no_finished_leg(tmp_path, monkeypatch):
     np.testing.assert_array_equal(seen.well_pressure, whole.well_pressure)
 
 
+@pytest.mark.slow
 def test_a_leg_that_fails_is_told_with_what_was_finished_before_it(tmp_path):
     steps = {"a": (1.0, 2.0, marches.RAISES), "b": (1.0, marches.RAISES, 3.0), "c": (1.0, 2.0, 3.0)}
     path = write(tmp_path, steps)
@@ -174,6 +179,7 @@ def test_a_leg_that_fails_is_told_with_what_was_finished_before_it(tmp_path):
     assert run(path).executed is None  # known to fail, tried again only where that is asked for
 
 
+@pytest.mark.slow
 def test_a_case_that_stops_keeps_what_came_before(tmp_path, capsys):
     """Its status says so and its message when; the legs that it does not reach change nothing."""
     steps = {"a": (1.0, 2.0, 3.0), "b": (1.0, marches.STOPS, 3.0), "c": (1.0, 2.0, marches.STOPS)}
@@ -243,6 +249,7 @@ def scene(*steps: tuple[float, float]) -> Scene:
     )
 
 
+@pytest.mark.slow
 def test_a_march_through_the_rates_of_a_network_is_what_the_model_superposes(monkeypatch):
     one = scene((0.0, 1e-6), (20.0, -2e-6), (200.0, 5e-7))
     monkeypatch.setattr(model_stages, "STAGES", marches.RATE_STAGES)
