@@ -112,7 +112,7 @@ def _others(joined: Array, region: Region, side: str) -> int:
 
 def conducts(fracture: Fracture) -> bool:
     """Whether a fracture lets fluid along it."""
-    return fracture.acts_on_flow and fracture.transmissibility_multiplier is None
+    return fracture.part in ("trace", "chain")
 
 
 def graph_of(lines: Sequence[Line], region: Region, wells: Sequence[WellPlace]) -> Graph:

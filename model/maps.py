@@ -73,7 +73,8 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         pressure = pressure if controls.transient else pressure[0]
         maps["pressure"] = pressure[..., : len(domain)]
         if len(at):
-            maps["fracture_node_pressure"] = pressure[..., len(domain) :]
+            at_node = pressure[..., len(domain) :]
+            maps |= {"fracture_node_pressure": at_node, "trace_flow": _trace_flow(opened, at_node)}
     if "grain_map" in scene.observe:
         state: StressState | None = products.get("stress")
         packing: Packing = products["pack"]
@@ -135,6 +136,24 @@ def _traces(scene: Scene, opened: Apertures) -> dict[str, np.ndarray]:
         "trace_to_y": opened.trace_end[:, 1],
         "trace_fracture": opened.trace_fracture,
     }
+
+
+def _trace_flow(opened: Apertures, pressure: np.ndarray) -> np.ndarray:
+    """The largest flow along each trace, from its begin to its end positive, (…, traces) m³/s.
+
+    From differences of the nodes' pressures (…, nodes): where a trace conducts so much more than
+    the rock that these differ in their last digits only, no more of it than those is known.
+    """
+    a, b, line = opened.branch_a, opened.branch_b, opened.branch_line
+    step = np.stack([opened.node_x[b] - opened.node_x[a], opened.node_y[b] - opened.node_y[a]])
+    along = (opened.trace_end - opened.trace_start)[line].T
+    sense = np.sign((step * along).sum(axis=0))
+    flow = sense * opened.branch_conductance * (pressure[..., a] - pressure[..., b])
+    most = np.zeros((len(opened.trace_start), *pressure.shape[:-1]))
+    least = most.copy()
+    np.maximum.at(most, line, np.moveaxis(flow, -1, 0))
+    np.minimum.at(least, line, np.moveaxis(flow, -1, 0))
+    return np.moveaxis(np.where(most >= -least, most, least), 0, -1)
 
 
 def _mesh(net: Network, domain: np.ndarray) -> dict[str, np.ndarray]:

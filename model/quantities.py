@@ -345,6 +345,13 @@ MAPS: dict[str, Quantity] = {
     "trace_to_x": Quantity("m", ("trace",), "x of the end of a trace as it was meant"),
     "trace_to_y": Quantity("m", ("trace",), "y of the end of a trace as it was meant"),
     "trace_fracture": Quantity("1", ("trace",), "index of the fracture that the trace is of"),
+    "trace_flow": Quantity(
+        "m3 s-1",
+        ("elapsed_time", "trace"),
+        "largest flow along the trace for unit depth, from its begin to its end positive",
+        ("pressure_map",),
+        comment="by differences of the pressures in the fracture",
+    ),
     "fracture_node_x": Quantity("m", ("fracture_node",), "x of a node of the traces"),
     "fracture_node_y": Quantity("m", ("fracture_node",), "y of a node of the traces"),
     "fracture_node_pressure": Quantity(

@@ -1,5 +1,6 @@
 """What a network of traces is: plain figures by hand, brute force, and closed forms."""
 
+import dataclasses
 import itertools
 import math
 
@@ -8,8 +9,21 @@ import pytest
 
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.fracture_network import _backbone, describe, graph_of
+from demflow.model.maps import case_maps
 from demflow.model.region import Circle, Rectangle
-from demflow.model.scene import RandomSet, Trace, Uniform, lines_of
+from demflow.model.scene import (
+    Fluid,
+    Grains,
+    Joint,
+    Matrix,
+    RandomSet,
+    Scene,
+    Solver,
+    Trace,
+    Uniform,
+    lines_of,
+)
+from demflow.model.stages import run_stages
 
 BOX = Rectangle(4.0, 2.0)
 W, MU = 1e-4, 1e-3
@@ -56,9 +70,17 @@ def test_a_ladder_is_counted_by_hand():
     )
 
 
-def test_a_barrier_and_a_mere_joint_are_no_network():
-    fractures = traces([(-3, 0), (3, 0)], aperture=None, transmissibility_multiplier=0.1)
-    found = described(fractures)
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"transmissibility_multiplier": 0.1},
+        {"resistance": 1e12},
+        {"thickness": 0.05, "permeability": 1e-18},
+        {"joint": Joint(normal_stiffness=1e10, shear_stiffness=1e10, friction=0.5)},
+    ],
+)
+def test_a_barrier_and_a_mere_joint_are_no_network(kind):
+    found = described(traces([(-3, 0), (3, 0)], aperture=None, **kind))
     assert int(found.traces) == 0
     assert found.p21 == found.backbone == found.connections == 0
     assert not found.conductance.any()
@@ -212,3 +234,32 @@ def test_pairs_that_are_joined_are_symmetric_and_by_clusters():
             met = {p for n, p in zip(graph.port_node, graph.port, strict=True) if n in here}
             pairs |= set(itertools.combinations(sorted(met), 2))
         assert (int(found.joined_pairs), int(found.clusters)) == (len(pairs), clusters)
+
+
+def test_flow_along_traces_of_a_sealed_rock_is_that_of_the_graph():
+    """A bent trace from side to side, a wider one that shares a part of its way, and a dead end."""
+    fractures = (
+        *traces([(-3, -0.4), (-1, -0.4), (1, 0.4), (3, 0.4)]),
+        *traces([(-1.0, -0.4), (-1.0, 0.4), (1.0, 0.4)], aperture=2 * W),
+        *traces([(0.0, 0.0), (0.4, -0.7)]),
+    )
+    fractures = tuple(dataclasses.replace(f, name=f"f{k}") for k, f in enumerate(fractures))
+    scene = Scene(
+        region=BOX,
+        grains=Grains(count=300, porosity=0.17),
+        matrix=Matrix(aperture=1e-12),
+        fluid=Fluid(MU, 1e9),
+        fractures=fractures,
+        boundaries=(("left", 1e6), ("right", 0.0)),
+        observe=("pressure_map", "boundary_flow"),
+        solver=Solver(method="steady"),
+    )
+    products = run_stages(scene)
+    flow = case_maps(scene, products)["trace_flow"]
+    total = products["observe"]["boundary_flow"][0]
+    narrow, wide = T / math.hypot(2.0, 0.8), 8 * T / 2.8
+    wanted = 1e6 / (2.0 / T + 1.0 / (narrow + wide))
+    assert total == pytest.approx(wanted, rel=1e-9)
+    part = wide / (narrow + wide)
+    along = wanted * np.array([1.0, 1.0 - part, 1.0, part, part, 0.0])
+    np.testing.assert_allclose(flow, along, rtol=1e-7, atol=1e-9 * wanted)
