@@ -1,0 +1,59 @@
+"""Wells half a pore to two pores beside a fracture that conducts without resistance.
+
+In a disc with its rim at a constant pressure and the fracture along its diameter at the same, a
+well at z falls by ln(2 |Im z| (1 − |z|²) / (r_w |1 − z²|)) μ / 2πk.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from demflow.model.mechanics.packing.packing import pack
+from demflow.model.scene import Trace
+from tests.benchmarks.result import Result
+from tests.benchmarks.wells_of_any_width import DISC, fall, spacing, transmits
+from tests.reservoirs import reservoir
+
+PACKINGS, PLACES = 6, 40
+ACROSS = Trace(name="across", aperture=3e-3, start=(-1.5, 0.0), end=(1.5, 0.0))
+
+
+def beside_a_line(at: complex, radius: float) -> float:
+    """2π k/μ times the fall of the pressure in the continuum."""
+    return math.log(2 * abs(at.imag) * (1 - abs(at) ** 2) / (radius * abs(1 - at**2)))
+
+
+def run() -> Result:
+    """Mean, standard deviation and largest of the relative errors of the drawdown."""
+    rng, found = np.random.default_rng(11), []
+    for seed in range(1, PACKINGS + 1):
+        packing = pack(
+            region=DISC, count=1500, mean_radius=None, packing="random",
+            radius_ratio=1.66, porosity=0.16, seed=seed,
+        )  # fmt: skip
+        rock = reservoir(packing, DISC)
+        lined = reservoir(packing, DISC, fractures=(ACROSS,))
+        h, unit = spacing(rock), transmits(rock)
+        for number in range(PLACES):
+            away = rng.uniform(0.5, 2.0)
+            at = complex(rng.uniform(-0.6, 0.6), away * h * rng.choice([-1, 1]))
+            radius = (0.01, 0.1, 0.3)[number % 3] * h
+            found.append((away, fall(lined, at, radius) * unit / beside_a_line(at, radius) - 1))
+    away, off = np.array(found).T
+    lines = []
+    for low, high in ((0.5, 1.0), (1.0, 2.0)):
+        part = off[(away >= low) & (away < high)]
+        lines.append(
+            f"{low:g} to {high:g} pores away: mean {100 * part.mean():+.2f} ± "
+            f"{100 * part.std() / math.sqrt(len(part)):.2f} %, deviation {100 * part.std():.2f} %, "
+            f"at worst {100 * np.abs(part).max():.2f} %, {len(part)} wells"
+        )
+    return Result(
+        f"mean {100 * off.mean():+.2f} %, deviation {100 * off.std():.2f} %, at worst "
+        f"{100 * np.abs(off).max():.2f} %",
+        "≤ 2, 3, 8 %",
+        bool(abs(off.mean()) <= 0.02 and off.std() <= 0.03 and np.abs(off).max() <= 0.08),
+        "\n".join(lines),
+    )
