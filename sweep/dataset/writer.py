@@ -17,6 +17,7 @@ from demflow.sweep.dataset.ragged import Ragged, ragged_dimension
 from demflow.sweep.dataset.tiles import Tile
 from demflow.sweep.dataset.verdict import Verdict
 from demflow.sweep.plan.graph import Plan
+from demflow.sweep.printable import printable
 from demflow.sweep.store.origins import sources_told
 from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import Coordinate, coordinates
@@ -125,7 +126,7 @@ class Writer:
         counted = zip(plan.stages, plan.counts(), strict=True)
         attributes = {
             "Conventions": CONVENTIONS,
-            "title": study.title,
+            "title": printable(study.title),
             "history": f"{now} demflow {installed('demflow')}: collected from stored stage runs",
             "source": "demflow: distinct-element packing and pore-network flow in two dimensions",
             "study": study.name,

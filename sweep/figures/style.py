@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import (
     FuncFormatter,
     LogFormatterMathtext,
@@ -25,6 +26,7 @@ from matplotlib.ticker import (
 
 from demflow.model.quantities import CASE, COORDINATES, MAPS, TESTS
 from demflow.sweep.analysis.cases import display, plain_number, power_of_ten
+from demflow.sweep.printable import printable, printable_lines
 
 DPI = 130
 
@@ -75,6 +77,9 @@ def new_figure(width: float, height: float) -> Figure:
 
 def save(figure: Figure, path: Path, caption: str) -> Path:
     """Write a PNG that carries its caption as its description. Same figure, same bytes."""
+    for text in figure.findobj(Text):
+        assert isinstance(text, Text)
+        text.set_text(printable_lines(text.get_text()))
     for panel in figure.axes:
         for axis in (panel.xaxis, panel.yaxis):
             if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
@@ -82,7 +87,8 @@ def save(figure: Figure, path: Path, caption: str) -> Path:
             if isinstance(axis.get_minor_formatter(), LogFormatterMathtext):
                 minor = _PlainPowers(labelOnlyBase=False, minor_thresholds=(1, 0.4))
                 axis.set_minor_formatter(minor)
-    figure.savefig(path, dpi=DPI, metadata={"Software": None, "Description": caption})
+    described = {"Software": None, "Description": printable(caption)}
+    figure.savefig(path, dpi=DPI, metadata=described)
     return path
 
 
@@ -99,7 +105,7 @@ class _PlainPowers(LogFormatterSciNotation):
 
 def legend_text(text: str) -> str:
     """A text that a legend shows: matplotlib hides those that begin with an underscore."""
-    return f"\u200a{text}" if text.startswith("_") else text
+    return f" {text}" if text.startswith("_") else text
 
 
 def shades(name: str, count: int) -> np.ndarray:

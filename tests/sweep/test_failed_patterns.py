@@ -8,12 +8,14 @@ import hashlib
 import numpy as np
 import pytest
 import xarray as xr
+from PIL import Image
 
 import demflow.sweep.figures as figures
 from demflow.model.outcome import Status
 from demflow.model.quantities import CASE
 from demflow.sweep.figures import style, write_figures
 from demflow.sweep.report import write_report
+from demflow.sweep.report.html import escape
 from demflow.sweep.store import written
 from demflow.sweep.store.products import StoreError
 from demflow.sweep.study.cases import case_at
@@ -219,8 +221,21 @@ def test_texts_are_drawn_as_they_are(text, tmp_path, monkeypatch):
         renderer = figure.canvas.get_renderer()
         for shown in (panel.title, panel.xaxis.label, *legend.get_texts()):
             assert not shown.get_parse_math()
-            assert shown.get_text().strip("\u200a") == text
+            assert shown.get_text().strip() == text
         labels = [one.get_text() for one in panel.get_yticklabels()]
         assert renderer is not None
     assert "10³" in labels
     assert not any("$" in one for one in labels)
+
+
+def test_what_cannot_be_seen_is_shown_as_what_it_is(tmp_path):
+    text = "a\x1b[31mb\u202ec\x00d"
+    with style.house_style():
+        figure = style.new_figure(4.0, 2.0)
+        panel = figure.subplots()
+        panel.set(title=f"{text}\nsecond")
+        path = style.save(figure, tmp_path / "f.png", text)
+    assert panel.get_title() == "a\\x1b[31mb\\u202ec\\x00d\nsecond"
+    with Image.open(path) as image:
+        assert image.info["Description"] == "a\\x1b[31mb\\u202ec\\x00d"
+    assert escape(f"<{text}>") == "&lt;a\\x1b[31mb\\u202ec\\x00d&gt;"
