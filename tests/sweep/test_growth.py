@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from demflow.model.parameters import SceneError
-from demflow.model.scene import OBSERVABLES, Scene
+from demflow.model.scene import OBSERVABLES, Refinement, Scene
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.plan.graph import Plan, make_plan, stage_table
 from demflow.sweep.prepared import planned
@@ -219,8 +219,8 @@ def _scenes(shipped: Study) -> Iterator[Scene | SceneError]:
 
 # Every declared parameter in turn.
 
-# quasi-static results ignore the one, packings with walls the other
-UNREAD = {"grains.density", "grains.tile"}
+# Quasi-static results ignore the density, packings with walls the tile, linear contacts the ratio.
+UNREAD = {"grains.density", "grains.tile", "grains.poissons_ratio"}
 
 
 @pytest.fixture(scope="module")
@@ -260,6 +260,8 @@ def others(field: dataclasses.Field, value: Any) -> list[Any]:
     """Values beside the one that a parameter has, some of which may be out of bounds."""
     if field.metadata["choices"]:
         return [choice for choice in field.metadata["choices"] if choice != value]
+    if "Refinement" in str(field.type):
+        return [(Refinement(around="wells", within=1.0, factor=2.0),)]
     if value is None:
         return [0.5, 1.5, 2, 1e-5]
     if isinstance(value, bool):
