@@ -350,6 +350,8 @@ def _check_scenes(
     at_origin: set[tuple[str, str]] = set()
     seen: set[tuple[str, str]] = set()
     named = sum(len(values.get(key) or ()) for key in NAMED)
+    lines = (one.get("count", 1) for one in (values.get("probes") or {}).values())
+    named += sum(count for count in lines if isinstance(count, int))
     most = MOST_COMBINATIONS // (1 + named // MANY_NAMES)
     for index in _indices([len(axis.values) for axis in axes], combine, most):
         moved = [number for number, k in enumerate(index) if k]

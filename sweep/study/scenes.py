@@ -20,7 +20,9 @@ class SceneBuilder:
     def __init__(self, values: Mapping[str, Any], axes: Sequence[Axis]):
         self._values = values
         self._axes = axes
-        self._parts: dict[str, dict[tuple[int, ...], Any]] = {key: {} for key in SCENE.members}
+        # what was built of each block, and what was wrong with it, by the points of its axes
+        self._parts: dict[str, dict[tuple[int, ...], tuple[Any, list[tuple[str, str]]]]]
+        self._parts = {key: {} for key in SCENE.members}
         # block -> the axes that touch it
         # variants come first: they say what there is, and other axes move numbers in it
         order = sorted(range(len(axes)), key=lambda number: not axes[number].names)
@@ -78,7 +80,8 @@ class SceneBuilder:
             at = tuple([index[number] for number in self._touching[key]])
             kept = self._parts[key]
             if at in kept:
-                parts[key] = kept[at]
+                parts[key], told = kept[at]
+                problems += told
                 continue
             member = SCENE.members[key]
             values = self._assigned(key, index)
@@ -86,10 +89,9 @@ class SceneBuilder:
                 continue  # it could not be read
             before = len(problems)
             parts[key] = member.section.build(values, key, problems)
-            if len(problems) == before:
-                if len(kept) >= MOST_KEPT:
-                    kept.clear()
-                kept[at] = parts[key]
+            if len(kept) >= MOST_KEPT:
+                kept.clear()
+            kept[at] = parts[key], problems[before:]
         return parts
 
     def _assigned(self, key: str, index: Sequence[int]) -> Any:
