@@ -223,9 +223,11 @@ def well_problems(wells: tuple[Well, ...], region: Region) -> Problems:
         if stimulated:
             what = f"with the radius r_w e^(−S) = {radius[k]:.3g} m {what}"
         yield f"{path}.{'skin_factor' if stimulated else 'radius'}", what
-    for i, j in zip(*box_pairs(at - radius[:, None], at + radius[:, None]), strict=True):
-        if math.dist(at[i], at[j]) < radius[i] + radius[j]:
-            yield f"wells.{wells[j].name}.at", f"the well overlaps {wells[i].name}"
+    i, j = box_pairs(at - radius[:, None], at + radius[:, None])
+    near = np.hypot(*(at[i] - at[j]).T) < radius[i] + radius[j]
+    later, which = np.unique(j[near], return_index=True)  # each well, and one that it overlaps
+    for k, other in zip(later, i[near][which], strict=True):
+        yield f"wells.{wells[k].name}.at", f"the well overlaps {wells[other].name}"
 
 
 def probe_problems(probes: tuple[Probe, ...], region: Region) -> Problems:

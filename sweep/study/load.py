@@ -353,11 +353,13 @@ def _check_scenes(
     lines = (one.get("count", 1) for one in (values.get("probes") or {}).values())
     named += sum(count for count in lines if isinstance(count, int))
     most = MOST_COMBINATIONS // (1 + named // MANY_NAMES)
+    # wells, fractures and probes of which a part could not be read
+    partly = {_named_in(path) for path in reading.unreadable} - {""}
     for index in _indices([len(axis.values) for axis in axes], combine, most):
         moved = [number for number, k in enumerate(index) if k]
         for problem in builder.problems(index, whole=whole, unreadable=reading.unreadable):
             path, what = problem
-            if reading.spoilt(path) or problem in at_origin or _in_part(path, reading):
+            if reading.spoilt(path) or problem in at_origin or _named_in(path) in partly:
                 continue
             if len(moved) > 1 and problem in seen:
                 continue
@@ -377,12 +379,10 @@ def _check_scenes(
             reading.report(place, f"{path}: {what}{suffix}" if path else f"{what}{suffix}")
 
 
-def _in_part(path: str, reading: Reading) -> bool:
-    """Whether it is about a well, a fracture or a probe of which only a part could be read."""
-    block, *rest = path.split(".")
-    if block not in NAMED or not rest:
-        return False
-    return any(one.startswith(f"{block}.{rest[0]}.") for one in reading.unreadable)
+def _named_in(path: str) -> str:
+    """`wells.p` of a path in a well, a fracture or a probe; "" of any other."""
+    parts = path.split(".")
+    return ".".join(parts[:2]) if parts[0] in NAMED and len(parts) > 2 else ""
 
 
 def _indices(shape: list[int], combine: bool, most: int) -> Iterator[tuple[int, ...]]:

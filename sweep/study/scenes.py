@@ -67,11 +67,10 @@ class SceneBuilder:
                 Scene(**parts)
             except SceneError as error:
                 # what a part that could not be built lacks is no further problem
-                problems += [
-                    (path, what)
-                    for path, what in error.problems
-                    if not any(inner.startswith(f"{path}.") for inner, _ in problems)
-                ]
+                holds = {
+                    path[:k] for path, _ in problems for k, one in enumerate(path) if one == "."
+                }
+                problems += [one for one in error.problems if one[0] not in holds]
         return problems
 
     def _build(self, index: Sequence[int], problems: list[tuple[str, str]]) -> dict[str, Any]:
