@@ -85,6 +85,25 @@ def active_sources(scene: Scene) -> tuple[bool, ...]:
     return (*(p != controls.reference for p in controls.fixed_pressures), *rates, *fields)
 
 
+def step_decades(scene: Scene) -> tuple[int, ...] | None:
+    """How large a step of each source is beside the first that acts, for the stage `flow`.
+
+    Powers of ten, in the order of the sources; 0 of those that do not act, None where one acts
+    alone, or nothing goes on in time: what differs in the size of steps alone shares its responses,
+    to a decade.
+    """
+    controls, active = controls_of(scene), active_sources(scene)
+    largest = [max((abs(size) for _, size in steps), default=0.0) for steps in step_sizes(controls)]
+    largest += [abs(g) for g in controls.gradient] if controls.start == "gradient" else []
+    acting = [size for size, acts in zip(largest, active, strict=True) if acts and size > 0.0]
+    if len(acting) < 2 or not controls.transient:
+        return None
+    return tuple(
+        round(math.log10(size / acting[0])) if acts and size > 0.0 else 0
+        for size, acts in zip(largest, active, strict=True)
+    )
+
+
 def step_sizes(controls: Controls) -> list[list[tuple[float, float]]]:
     """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
     steps = [[(0.0, pressure - controls.reference)] for pressure in controls.fixed_pressures]

@@ -13,8 +13,9 @@ import numpy as np
 
 from demflow.model.controls import Controls, sites, step_sizes
 from demflow.model.flow.equation.sites import change_times, time_since
-from demflow.model.flow.solvers.time_error import time_error
+from demflow.model.flow.solvers.time_error import FAINT, FAINT_FLOW, Recorded, time_error
 from demflow.model.products import Responses
+from demflow.model.transient import flow_periods, pressure_change
 
 Array = np.ndarray
 Steps = list[list[tuple[float, float]]]  # of each source: time (s), size (Pa or m³/s)
@@ -30,6 +31,7 @@ class Volumes(NamedTuple):
     let_in: Array  # (t, k) by what keeps its pressure
     produced: Array  # (t,) by the wells at a rate
     moved: Array  # (t,) all of these without their signs, of rates that of every step of them
+    missing: Array | float = 0.0  # (t,) at most out of balance, before a solver mended that
 
 
 class Solved(NamedTuple):
@@ -42,6 +44,7 @@ class Solved(NamedTuple):
     isolated_domains: Array  # ()
     solver_used: Array  # () word
     solver_reason: Array  # () words
+    flow_balance_error: Array | float = 0.0  # ()
 
 
 class History(NamedTuple):
@@ -102,7 +105,7 @@ def superposed(responses: Responses, controls: Controls) -> History:
         volumes=(
             _volumes(responses, controls, steps, times)
             if controls.transient
-            else _rates(flows, rate[at_rate])
+            else _rates(flows, rate[at_rate], _missing(responses, controls, steps, times))
         ),
         probe_place=responses.probe_place,
         solved=Solved(
@@ -111,6 +114,7 @@ def superposed(responses: Responses, controls: Controls) -> History:
             estimated_error=responses.time_error,
             tolerance_met=responses.tolerance_met,
             isolated_domains=responses.isolated,
+            flow_balance_error=np.asarray(_unexplained(responses, controls)),
             solver_used=responses.solver,
             solver_reason=responses.solver_reason,
         ),
@@ -131,20 +135,45 @@ def superposed_map(responses: Responses, controls: Controls) -> Array:
 def superposed_error(
     responses: Responses, reference: Responses, controls: Controls, *, flows: bool
 ) -> dict[str, Array]:
-    """Errors in time of unit responses and of the reference that they are held against.
+    """Errors in time of what is recorded and of the reference that it is held against.
 
     `flows` says whether inflows at fixed pressures count. By their names in
     `model.quantities.CASE`.
     """
     held = sum(well.pressure is not None for well in controls.wells)
+    sizes = [max((abs(q) for _, q in changes), default=0.0) for changes in step_sizes(controls)]
+    fixed = len(controls.fixed_pressures)
+    through = np.array(sizes) * responses.least_flow  # rates, and what would fill all pores
     error = time_error(
-        responses,
-        reference,
-        fixed=len(controls.fixed_pressures),
-        wells=len(controls.wells) - held,
+        recorded(responses, controls),
+        recorded(reference, controls),
+        least_pressure=max(sizes[:fixed], default=0.0),
+        least_flow=np.maximum(FAINT_FLOW * through.max(initial=0.0), FAINT * through[:fixed]),
         flows=flows or held > 0,
     )
     return {"reference_error": reference.time_error, "time_error": np.asarray(error)}
+
+
+def recorded(responses: Responses, controls: Controls) -> Recorded:
+    """What counts of the responses of one case that is a transient."""
+    steps, times = step_sizes(controls), _times(controls)
+    output = _output(responses, controls, steps, times).T
+    at_rate = [well for well in controls.wells if well.pressure is None]
+    wells, flows = len(at_rate), len(controls.fixed_pressures)
+    change = np.full((wells, len(times)), np.nan)
+    so_far = np.zeros_like(change)
+    for k, well in enumerate(at_rate):
+        start, sign = flow_periods(well.rate_changes)
+        before = _output(responses, controls, steps, start)[:, k] if len(start) else start
+        change[k] = pressure_change(times, output[k], start, before, sign)
+        for period in np.split(np.arange(len(times)), np.searchsorted(times, start, side="right")):
+            so_far[k, period] = np.maximum.accumulate(np.abs(np.nan_to_num(change[k, period])))
+    field = superpose(responses.pressure, responses.lag, steps, times)
+    weights = controls.initial_weights
+    field += started(responses.initial_pressure, responses.lag, weights, times)
+    probes = output[wells + flows :][responses.probe_reached]
+    pressure = np.concatenate([output[:wells], probes])
+    return Recorded(change, so_far, output[wells : wells + flows], pressure, field)
 
 
 def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
@@ -195,13 +224,52 @@ def _volumes(responses: Responses, controls: Controls, steps: Steps, times: Arra
             volume = size * np.maximum(times - time, 0.0)
             produced += volume
             moved += np.abs(volume)
-    return Volumes(stored, let_in, produced, moved)
+    return Volumes(stored, let_in, produced, moved, _missing(responses, controls, steps, times))
 
 
-def _rates(flows: Array, produced: Array) -> Volumes:
+def _missing(responses: Responses, controls: Controls, steps: Steps, times: Array) -> Array:
+    """What is missing at most at some times (t,), all of it taken for one sign."""
+    sizes = [[(time, abs(size)) for time, size in changes] for changes in steps]
+    weights = tuple(abs(weight) for weight in controls.initial_weights)
+    missing = superpose(responses.missing, responses.lag, sizes, times)
+    return missing + started(responses.initial_missing, responses.lag, weights, times)
+
+
+def _rates(flows: Array, produced: Array, missing: Array) -> Volumes:
     """Volumes of a steady state each second: flows (k, 1) let in, rates (w, 1) produced."""
     moved = np.abs(flows).sum() + np.abs(produced).sum()
-    return Volumes(np.zeros(1), flows.T, np.array([produced.sum()]), np.array([moved]))
+    produced_at_once = np.array([produced.sum()])
+    return Volumes(np.zeros(1), flows.T, produced_at_once, np.array([moved]), missing)
+
+
+def _unexplained(responses: Responses, controls: Controls) -> float:
+    """Largest part of the volume moved that recorded flows do not explain, of unit responses.
+
+    Flows of a response to a step rise or fall all the time, so that from one lag to the next each
+    lets in between its two values times the time between: what is stored meanwhile has to lie
+    within the sum of these. No solver's own bookkeeping enters.
+    """
+    lag = responses.lag
+    span = np.diff(lag)
+    if not controls.transient or not len(span):
+        return 0.0
+    fixed = len(controls.fixed_pressures)
+    wells = len(controls.wells) - (fixed - len(controls.side_pressures))
+    worst = 0.0
+    for source in range(fixed + wells):
+        flow = responses.output[source, :, wells : wells + fixed]
+        taken = 0.0 if source < fixed else 1.0
+        ends = np.stack([flow[:-1], flow[1:]])
+        least = ends.min(axis=0).sum(axis=1) - taken
+        most = ends.max(axis=0).sum(axis=1) - taken
+        stored = responses.cumulative[source, :, -1]
+        gain = np.diff(stored)
+        beyond = np.maximum(np.maximum(least * span - gain, gain - most * span), 0.0)
+        moved = np.abs(stored) + np.abs(responses.cumulative[source, :, :-1]).sum(axis=1)
+        moved = (moved + taken * lag)[1:]
+        counts = moved != 0.0
+        worst = max(worst, float(np.max(beyond[counts] / moved[counts], initial=0.0)))
+    return worst
 
 
 def _out_of_range(responses: Responses, controls: Controls) -> float:

@@ -19,7 +19,12 @@ from demflow.model.products import (
 )
 from demflow.model.region import Region, contains
 from demflow.model.scene import MEASURED_BY_A_TEST, Well
-from demflow.model.transient import bourdet_derivative, flow_periods, pressure_change
+from demflow.model.transient import (
+    bourdet_derivative,
+    flow_periods,
+    log_time,
+    pressure_change,
+)
 
 IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
 NETWORK = (
@@ -162,7 +167,10 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
         found = {name: array[:, 0] for name, array in found.items()}
     if len(history.probe_place):
         found["probe_place_x"], found["probe_place_y"] = history.probe_place.T
-    found["mass_balance_error"] = np.asarray(_imbalance(history.volumes))
+    volumes = history.volumes
+    books = volumes.stored - volumes.let_in.sum(axis=1) + volumes.produced
+    found["mass_balance_error"] = np.asarray(_over_moved(books, volumes))
+    found["mass_imbalance"] = np.asarray(_over_moved(np.abs(books) + volumes.missing, volumes))
     found |= history.solved._asdict()
     return found | _changes(history, controls) if controls.transient else found
 
@@ -187,10 +195,12 @@ def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:
     change, derivative = np.full_like(pressure, np.nan), np.full_like(pressure, np.nan)
     for k, well in enumerate(controls.wells):
         if well.pressure is None:
-            starts, sign = flow_periods(_felt_changes(controls.wells, k))
+            felt = _felt_changes(controls.wells, k)
+            starts, sign = flow_periods(felt)
             before = history.pressure_at_changes[k, np.searchsorted(history.change_times, starts)]
             change[k] = pressure_change(times, pressure[k], starts, before, sign)
-            derivative[k] = bourdet_derivative(times, change[k], starts)
+            x = log_time(times, felt)
+            derivative[k] = bourdet_derivative(times, change[k], starts, x=x)
     return {"pressure_change": change, "pressure_derivative": derivative}
 
 
@@ -211,8 +221,7 @@ def _felt_changes(wells: tuple[Well, ...], number: int) -> tuple[tuple[float, fl
     return tuple((time, sum(rate_at(time, changes) for changes in others)) for time in times)
 
 
-def _imbalance(volumes: Volumes) -> float:
-    """Largest imbalance over the volume moved."""
-    error = np.abs(volumes.stored - volumes.let_in.sum(axis=1) + volumes.produced)
+def _over_moved(volume: np.ndarray, volumes: Volumes) -> float:
+    """Largest of some volumes over the volume moved; 0 where nothing moves."""
     counts = volumes.moved != 0.0  # what is not a number counts
-    return float(np.max(error[counts] / volumes.moved[counts], initial=0.0))
+    return float(np.max(np.abs(volume)[counts] / volumes.moved[counts], initial=0.0))

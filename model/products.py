@@ -237,6 +237,8 @@ class Responses(NamedTuple):
     output: Array  # (sources, l, o) per unit of the source
     cumulative: Array  # (sources, l, k) time integrals of boundary inflow and storage, per unit
     pressure: Array  # (sources, l, m) maps on the domains inside, m = 0 where none is asked for
+    missing: Array  # (sources, l) m³ out of balance before that was mended (steady: m³/s)
+    least_flow: Array  # (sources,) m³/s by a fixed pressure that would fill all pores in time
     domain: Array  # (m,) the domains of the maps
     reached: Array  # (m,) bool: some source reaches the domain
     time_error: Array  # () estimated relative error in time
@@ -251,6 +253,7 @@ class Responses(NamedTuple):
     initial_cumulative: Array  # (fields, l, k)
     initial_pressure: Array  # (fields, l, m)
     initial_volume: Array  # (fields,) m³ that lie on the wrong side of the mean, per unit
+    initial_missing: Array  # (fields, l)
     solver: Array  # () word: the solver that ran
     solver_reason: Array  # () words: why it was taken
 

@@ -73,6 +73,8 @@ CASE: dict[str, Quantity] = {
         transient=True,
         constants=(("smoothing_window", SMOOTHING),),
         gaps=True,
+        comment="of a shut-in by the logarithm of the equivalent time of Agarwal, in which every "
+        "change of rate before it counts; by the time itself where rates of both signs came before",
     ),
     "permeability": Quantity(
         "m2", ("row", "column"), "permeability tensor of the region", ("permeability",)
@@ -139,6 +141,20 @@ CASE: dict[str, Quantity] = {
     "isolated_domains": Quantity("1", (), "pores that no well and no boundary reaches"),
     "mass_balance_error": Quantity(
         "1", (), "largest imbalance of stored, injected and boundary volume over the volume moved"
+    ),
+    "mass_imbalance": Quantity(
+        "1",
+        (),
+        "the same before the solver put its balance right, relative to the volume moved",
+        comment="krylov and implicit solve for pressures to a tolerance and then see to it that "
+        "the volume balances to round-off; this is what was missing, all of it of one sign",
+    ),
+    "flow_balance_error": Quantity(
+        "1",
+        (),
+        "largest part of the volume moved that the recorded flows do not explain",
+        comment="of unit responses, whose flows rise or fall all the time: what is stored from one "
+        "time to the next must lie between what the flows at both let in",
     ),
     "residual": Quantity(
         "1",

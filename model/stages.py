@@ -24,7 +24,7 @@ from demflow.model.amounts import (
     kept_by_flow,
     kept_by_observe,
 )
-from demflow.model.controls import active_sources, controls_of, sites
+from demflow.model.controls import active_sources, controls_of, sites, step_decades
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from demflow.model.products import (
@@ -185,6 +185,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "record_map": lambda s: "pressure_map" in s.observe,
     "check_flows": _observes_flows,
     "initial": lambda s: s.start,
+    "decades": step_decades,
 }
 
 STAGES: tuple[Stage, ...] = (
@@ -318,7 +319,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=15,
+        version=16,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -329,7 +330,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=10,
+        version=11,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,
@@ -361,7 +362,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="demflow.model.observe:observe",
-        version=8,
+        version=9,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures"),

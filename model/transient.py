@@ -1,7 +1,8 @@
 """What well-test analysis reads from a pressure record: Δp and the Bourdet derivative.
 
 Both restart at every change of the rate. Periods are given by the times at which they
-start; a time belongs to the last period that starts strictly before it.
+start; a time belongs to the last period that starts strictly before it. The derivative of a
+shut-in is taken by the equivalent time, or the flow before it would halve it by Δt = t_p.
 """
 
 from __future__ import annotations
@@ -12,6 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 SMOOTHING = 0.1  # L, the window of the Bourdet derivative on each side, natural-log units
+
+# A neighbour this many natural-log units away, and so many times farther than the one on the
+# other side, lies across a gap: the slope to it says nothing of the point.
+GAP, UNEVEN = 1.0, 4.0
 
 
 def flow_periods(rate_changes: Sequence[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
@@ -66,17 +71,57 @@ def pressure_change(
     return change
 
 
+def log_time(times: ArrayLike, rate_changes: Sequence[tuple[float, float]]) -> np.ndarray:
+    """Abscissa x by which the derivative of each flow period is taken, (t,).
+
+    While a well flows, ln Δt of the time since its last rate change. While it is shut in, the
+    logarithm of the equivalent time, ln Δt − Σ (Δqᵢ / q) ln((t − tᵢ) / (t_k − tᵢ)) over the
+    changes Δqᵢ at tᵢ before the shut-in at t_k, q the rate just before it: after one rate that is
+    t_p Δt / (t_p + Δt) (Agarwal 1980, SPE 9289), by which a build-up in radial flow is a straight
+    line of the drawdown's slope. Where rates of both signs make it fall somewhere, ln Δt too. NaN
+    before the first period.
+
+    Parameters
+    ----------
+    times : (t,) s, increasing.
+    rate_changes : (time in s, new rate in m³/s) in order, as for `flow_periods`.
+    """
+    times = np.asarray(times, dtype=float)
+    start, rate = np.asarray(rate_changes, dtype=float).reshape(-1, 2).T
+    step = np.diff(rate, prepend=0.0)
+    start, rate, step = start[step != 0.0], rate[step != 0.0], step[step != 0.0]
+    period = _period(times, start)
+    x = np.full(times.shape, np.nan)
+    for k in range(len(start)):
+        now = period == k
+        x[now] = np.log(times[now] - start[k])
+        if rate[k] == 0.0:
+            since, before = times[now][:, None] - start[:k], start[k] - start[:k]
+            equivalent = x[now] - np.log(since / before) @ (step[:k] / rate[k - 1])
+            if np.all(np.diff(equivalent) > 0.0):
+                x[now] = equivalent
+    return x
+
+
 def bourdet_derivative(
-    times: ArrayLike, change: ArrayLike, start: ArrayLike = (0.0,), smoothing: float = SMOOTHING
+    times: ArrayLike,
+    change: ArrayLike,
+    start: ArrayLike = (0.0,),
+    smoothing: float = SMOOTHING,
+    *,
+    x: ArrayLike | None = None,
 ) -> np.ndarray:
     """Derivative of the pressure change by the logarithm of the time since the rate change.
 
-    With x = ln(t − t_k), the nearest points at least L away on either side and the slopes
-    m₁, m₂ over the distances h₁, h₂ to them, dΔp/dx = (m₁ h₂ + m₂ h₁) / (h₁ + h₂): Bourdet,
+    With x = ln(t − t_k), or the abscissa given, the nearest points at least L away on either
+    side and the slopes m₁, m₂ over the distances h₁, h₂ to them,
+    dΔp/dx = (m₁ h₂ + m₂ h₁) / (h₁ + h₂): Bourdet,
     Ayoub & Pirard (1989), SPE Formation Evaluation 4, 293–302. This is the slope, at the
     point, of the parabola through the three; the first and last point of a period take both
     neighbours from the same side. Near the ends the window shrinks to what there is. Exact
-    for Δp = a + b x + c x².
+    for Δp = a + b x + c x². Where one neighbour lies across a gap in the times (`GAP`, `UNEVEN`)
+    the slope to the other counts alone, and at an end, where the parabola would turn although all
+    three points rise or all fall, the slope to the nearest.
 
     Parameters
     ----------
@@ -84,6 +129,7 @@ def bourdet_derivative(
     change : (..., t) Pa, from `pressure_change`.
     start : (k,) s, when each flow period starts, increasing.
     smoothing : L, not negative.
+    x : (t,) abscissa in place of ln(t − t_k), increasing within each period (`log_time`).
 
     Returns
     -------
@@ -104,8 +150,8 @@ def bourdet_derivative(
     for k in range(len(start)):
         (members,) = np.nonzero(period == k)
         if len(members) >= 2:
-            x = np.log(times[members] - start[k])
-            derivative[..., members] = _three_point(x, change[..., members], smoothing)
+            at = np.log(times[members] - start[k]) if x is None else np.asarray(x)[members]
+            derivative[..., members] = _three_point(at, change[..., members], smoothing)
     return derivative
 
 
@@ -130,4 +176,13 @@ def _three_point(x: np.ndarray, values: np.ndarray, smoothing: float) -> np.ndar
     h1, h2 = x - x[left], x[right] - x
     m1 = (values - values[..., left]) / h1
     m2 = (values[..., right] - values) / h2
-    return (m1 * h2 + m2 * h1) / (h1 + h2)
+    slope = (m1 * h2 + m2 * h1) / (h1 + h2)
+    before, after = np.abs(h1), np.abs(h2)
+    slope = np.where((before > GAP) & (before > UNEVEN * after), m2, slope)
+    slope = np.where((after > GAP) & (after > UNEVEN * before), m1, slope)
+    for end, near, beyond in ((0, m2[..., 0], left[0]), (-1, m1[..., -1], right[-1])):
+        inner = right[0] if end == 0 else left[-1]
+        further = (values[..., beyond] - values[..., inner]) / (x[beyond] - x[inner])
+        turns = (near * further > 0.0) & (near * slope[..., end] < 0.0)
+        slope[..., end] = np.where(turns, near, slope[..., end])
+    return slope

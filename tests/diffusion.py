@@ -13,6 +13,8 @@ from demflow.model.flow.equation.outputs import outputs
 from demflow.model.flow.equation.problem import Answer, Problem
 from demflow.model.flow.linear import elimination
 from demflow.model.flow.solvers.registry import SOLVERS
+from demflow.model.flow.solvers.time_error import FAINT, Recorded, time_error
+from demflow.model.products import Responses
 from demflow.model.region import Rectangle
 from demflow.model.scene import Trace, Well
 from tests.reservoirs import reservoir
@@ -80,6 +82,44 @@ def reference(problem: Problem) -> np.ndarray:
 def relative_error(pressure: np.ndarray, exact: np.ndarray) -> float:
     """Largest relative error of a well's pressure change."""
     return float(np.abs(pressure / exact - 1.0).max())
+
+
+def step_error(
+    found: Answer | Responses,
+    exact: Answer | Responses,
+    lag: np.ndarray,
+    *,
+    fixed: int,
+    wells: int,
+    flows: bool,
+) -> float:
+    """Error in time of the responses to a unit step of each source, the largest of all.
+
+    As a case with that source alone would be told it; `fixed` and `wells` count the sources.
+    """
+    worst = 0.0
+    for source in range(fixed + wells):
+        told, right = (_recorded(answer, source, lag, fixed, wells) for answer in (found, exact))
+        # by itself a response is held to a tenth of the largest flow, a well's rate included
+        least = FAINT * np.abs(right.flow).max(initial=float(source >= fixed))
+        pressure = float(source < fixed)
+        error = time_error(told, right, least_pressure=pressure, least_flow=least, flows=flows)
+        worst = max(worst, error)
+    return worst
+
+
+def _recorded(
+    answer: Answer | Responses, source: int, lag: np.ndarray, fixed: int, wells: int
+) -> Recorded:
+    later = lag > 0.0
+    output = answer.output[source, later].T
+    change = np.full((wells, np.count_nonzero(later)), np.nan)
+    if fixed <= source < fixed + wells:
+        change[source - fixed] = np.abs(output[source - fixed])
+    so_far = np.maximum.accumulate(np.nan_to_num(change), axis=1)
+    flow = output[wells : wells + fixed]
+    pressure = np.delete(output, np.s_[wells : wells + fixed], axis=0)
+    return Recorded(change, so_far, flow, pressure, answer.pressure[source, later])
 
 
 class Timed(NamedTuple):

@@ -16,7 +16,14 @@ MODEL = (
     ("model.parameters",),
     ("model.region",),
     ("model.scene",),
-    ("model.outcome", "model.compilation", "model.products", "model.transient"),
+    (
+        "model.outcome",
+        "model.compilation",
+        "model.products",
+        "model.transient",
+        "model.threads",
+        "model.verdict",
+    ),
     ("model.kernel_cache",),
     ("model.compile",),
     ("model.memory",),
@@ -67,6 +74,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
 DOORS = {  # outer library: the only rooms that may import it
     "numba": {"model.compile", "model.kernel_cache"},
     "qdldl": {"model.mechanics.static.stiffness"},
+    "threadpoolctl": {"model.threads"},
     "dask": {"sweep.execution.local", "sweep.execution.cluster"},
     "distributed": {
         "sweep.execution.loop",

@@ -185,7 +185,9 @@ class Solver:
         default=1e-4,
         at_least=LEAST_TOLERANCE,
         below=1,
-        help="relative error in time of the well pressure change (krylov, implicit)",
+        help="relative error in time of all that is recorded (krylov, implicit): of a well's "
+        "pressure change beside the largest of its flow period so far, of flows and probes beside "
+        "their own largest, of maps beside the largest of any pore",
     )
     safety_factor: float = parameter(
         default=0.9, above=0, at_most=4, help="explicit step over its limit (Eq. 14)"

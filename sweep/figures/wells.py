@@ -197,10 +197,22 @@ def _caption(dataset: xr.Dataset, well: str, roles: _Roles, drawn: int) -> str:
     if chosen:
         parts.append(f"of more; drawn are {'; '.join(chosen)}")
     text = " ".join(parts) + f". Smoothing of the derivative L = {window:g} (natural-log units)."
+    if shut_in(dataset, well):
+        text += (
+            " The derivative of a shut-in is taken by its equivalent time, t_p Δt / (t_p + Δt) "
+            "after one rate, that of all rates before it after several; the abscissa is Δt."
+        )
     return (
         text + " The grey fan shows the slopes of wellbore storage and pseudo-steady flow (1), "
         "linear (1/2), bilinear (1/4) and radial flow (0)."
     )
+
+
+def shut_in(dataset: xr.Dataset, well: str) -> bool:
+    """Whether the well of any case is shut in after it flowed."""
+    rate = dataset["well_rate"].sel(well=well).transpose(..., "elapsed_time").values
+    flowed = np.maximum.accumulate(np.abs(np.nan_to_num(rate)), axis=-1) > 0.0
+    return bool(np.any(flowed & (rate == 0.0)))
 
 
 def _fan_size(panel: Axes) -> tuple[float, float, float]:

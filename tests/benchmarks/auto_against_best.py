@@ -12,7 +12,6 @@ import itertools
 import statistics
 import time
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
@@ -23,10 +22,9 @@ from demflow.model.flow.equation.problem import Answer, Problem
 from demflow.model.flow.solvers.explicit import step_limit
 from demflow.model.flow.solvers.forecast import course
 from demflow.model.flow.solvers.registry import SOLVERS, lags, solve
-from demflow.model.flow.solvers.time_error import time_error
 from demflow.model.scene import Well
 from tests.benchmarks.result import Result
-from tests.diffusion import seconds, well_problem
+from tests.diffusion import seconds, step_error, well_problem
 
 SLOWER = 1.5
 DOMAINS = (1_000, 8_000, 40_000)
@@ -68,11 +66,7 @@ def case(plain: Problem, kind: str, first: float, decades: float, tolerance: flo
 
 def relative_error(problem: Problem, found: Answer, exact: Answer) -> float:
     """Error of what is recorded, as a study would be told it."""
-    one, other = (
-        SimpleNamespace(lag=problem.lag, output=a.output, pressure=a.pressure)
-        for a in (found, exact)
-    )
-    return time_error(one, other, fixed=1, wells=1, flows=problem.check_flows)
+    return step_error(found, exact, problem.lag, fixed=1, wells=1, flows=problem.check_flows)
 
 
 def measure(name: str, problem: Problem) -> Row:

@@ -1,7 +1,5 @@
 """`auto`: a solver that can answer, the tolerance kept, and the reason told."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -10,11 +8,10 @@ from demflow.model.flow.equation.outputs import outputs
 from demflow.model.flow.solvers.explicit import step_limit
 from demflow.model.flow.solvers.forecast import course, euler_error
 from demflow.model.flow.solvers.registry import SOLVERS, choose, solve
-from demflow.model.flow.solvers.time_error import time_error
 from demflow.model.outcome import ModelError
 from demflow.model.region import Rectangle
 from demflow.model.scene import Probe, Well
-from tests.diffusion import reference, relative_error, well_pressure, well_problem
+from tests.diffusion import reference, relative_error, step_error, well_pressure, well_problem
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
 
@@ -25,10 +22,7 @@ STEADY = PROBLEM._replace(lag=np.array([np.inf]))
 
 def error_of(lag, found, exact):
     """The largest error of all that two answers of one side and one well record."""
-    found, exact = (
-        SimpleNamespace(lag=lag, output=a.output, pressure=a.pressure) for a in (found, exact)
-    )
-    return time_error(found, exact, fixed=1, wells=1, flows=True)
+    return step_error(found, exact, lag, fixed=1, wells=1, flows=True)
 
 
 def test_a_solver_asked_for_runs_as_it_is():
@@ -93,7 +87,9 @@ def test_the_choice_keeps_the_tolerance_far_from_the_source(wells, sides, seed, 
         exact = rock.respond(*asked, tolerance=1e-11, **recorded)
         for tolerance in (1e-4, 1e-6):
             found = rock.respond(*asked, method="auto", tolerance=tolerance, **recorded)
-            error = time_error(found, exact, fixed=len(sides), wells=len(wells), flows=True)
+            error = step_error(
+                found, exact, exact.lag, fixed=len(sides), wells=len(wells), flows=True
+            )
             allowed = tolerance if found.solver == "explicit" else 3 * tolerance
             assert error <= allowed, found.solver_reason
 

@@ -57,8 +57,7 @@ def test_linear_flow_at_any_time():
         probes=probes,
         tolerance=1e-5,
     )
-    at = (np.floor(places / (2 * RADIUS)) + 0.5) * 2 * RADIUS  # of the pore
-    expected = linear_dimensionless_pressure(0.5 * (at[:, None] + 1.0), t_D)
+    expected = linear_dimensionless_pressure(0.5 * (places[:, None] + 1.0), t_D)
     np.testing.assert_allclose(-seen["probe_pressure"], expected, atol=4e-3)
 
 

@@ -86,14 +86,27 @@ def test_the_observed_order_is_four():
     np.testing.assert_allclose(orders, 4.0, atol=0.1)
 
 
-def test_pressure_within_a_step_is_a_cubic_that_meets_its_ends():
-    np.testing.assert_allclose(weights_at(0.0), 0.0)
-    np.testing.assert_allclose(weights_at(1.0), WEIGHTS)
+def test_pressure_within_a_step_is_of_third_order_and_meets_its_end():
     node = STAGES.sum(axis=1)
-    for part in (0.2, 0.5, 0.9):
+    np.testing.assert_array_equal(weights_at(1.0)[1], WEIGHTS)
+    for part in (1e-3, 0.2, 0.5, 0.9, 1.0):
+        values, increments = weights_at(part)
+        assert values[:-1].sum() == pytest.approx(1.0, abs=1e-12)
         for power in (1, 2, 3):
-            moment = weights_at(part) @ node ** (power - 1)
-            assert moment == pytest.approx(part**power / power, abs=1e-14)
+            moment = increments @ node ** (power - 1)
+            assert moment == pytest.approx(part**power / power, abs=1e-12)
+
+
+def test_what_the_step_sees_of_its_error_covers_what_lies_within():
+    """For decays of any rate, those far faster than the step too."""
+    decay = np.logspace(-1, 9, 400)
+    stages = np.linalg.solve(np.eye(6) + decay[:, None, None] * STAGES, np.ones((6, 1)))[..., 0]
+    seen = decay * np.abs(stages @ (WEIGHTS - EMBEDDED))
+    known = np.column_stack([stages, -decay * stages[:, -1]])
+    for part in np.linspace(0.002, 1.0, 60):
+        values, _ = weights_at(float(part))
+        error = np.abs(known @ values - np.exp(-decay * part))
+        assert np.max(error / seen) <= 5.5
 
 
 @pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4, 1e-6, 1e-8])

@@ -301,7 +301,10 @@ def test_idle_sources_are_left_at_zero_and_change_nothing(method):
     full = respond(method)
     assert not responses.output[[0, 2, 4]].any()
     for source in (1, 3):
-        np.testing.assert_array_equal(responses.output[source], full.output[source])
+        # what the others do tells how well each has to be known, where that is controlled
+        off = np.abs(responses.output[source] - full.output[source])
+        allowed = 2e-9 if SOLVERS[method].controls_error and SOLVERS[method].transient else 0.0
+        assert np.all(off <= allowed * np.abs(full.output[source]).max(axis=0))
     assert responses.domain.tolist() == np.flatnonzero(ROCK.network.inside).tolist()
 
 

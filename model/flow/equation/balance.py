@@ -20,6 +20,7 @@ import numpy as np
 from demflow.model.compile import kernel
 from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, solve
+from demflow.model.network.connectivity import reached
 
 # Refinement ends where no pore is out of balance by more than this part of the flow through
 # it, nor the whole by more than this part of the flow through the whole; a network of like
@@ -45,6 +46,7 @@ class SteadyFlow(NamedTuple):
     imbalance: float  # largest of a pore, over the flow through it or through stagnant ones
     misfit: float  # the same before draining, of the whole too, or the share of a flow drained
     refinements: int
+    missing: float  # m³/s, |Σ| of all flows into the unknowns before draining
 
     def inflow(self, system: System, source: int) -> np.ndarray:
         """What each fixed pressure lets in, (fixed,) m³/s."""
@@ -65,7 +67,8 @@ def steady_flow(system: System, factor: Factor, source: int) -> SteadyFlow:
     well = system.source(source) if of_rate else np.zeros(system.n)
     strongest = max(system.edge_g.max(initial=0.0), system.fixed_g.max(initial=0.0))
     nothing = 0.0 if of_rate else NOTHING * strongest
-    pressure, remainder = solve(factor, system.source(source)), np.zeros(system.n)
+    start = solve(factor, system.source(source))
+    pressure, remainder = _where_nothing_flows(system, source, start), np.zeros(system.n)
     best = np.inf
     for refinements in range(MOST_REFINEMENTS + 1):
         edge, link = _flows(
@@ -87,7 +90,7 @@ def steady_flow(system: System, factor: Factor, source: int) -> SteadyFlow:
         refined = pressure + correction
         remainder = correction - (refined - pressure)
         pressure = refined
-    misfit = max(found.pore, found.whole)
+    misfit, missing = max(found.pore, found.whole), abs(float(found.net.sum()))
     if found.pore > PORE_BALANCED:
         along_edge, along_link = _drain(system, edge, link, found.net)
         found = _balance(system, edge, link, well, nothing)
@@ -97,7 +100,24 @@ def steady_flow(system: System, factor: Factor, source: int) -> SteadyFlow:
             np.max(np.abs(along_edge) / least, initial=0.0),
             np.max(np.abs(along_link) / found.passes[system.fixed_node], initial=0.0),
         )
-    return SteadyFlow(pressure, remainder, edge, link, found.pore, float(misfit), refinements)
+    return SteadyFlow(
+        pressure, remainder, edge, link, found.pore, float(misfit), refinements, missing
+    )
+
+
+def _where_nothing_flows(system: System, source: int, pressure: np.ndarray) -> np.ndarray:
+    """The pressure (n,) of a unit source, exact where only one fixed pressure is connected.
+
+    What flows there is nothing; a pressure that is right to its last digit would leave a flow
+    that nothing but round-off can be compared with.
+    """
+    if source >= system.fixed_count:
+        return pressure
+    ours = system.fixed_source == source
+    edges = (system.n, system.edge_i, system.edge_j)
+    mine = reached(*edges, system.fixed_node[ours])
+    others = reached(*edges, system.fixed_node[~ours])
+    return np.where(mine, np.where(others, pressure, 1.0), 0.0)
 
 
 def transient_misfit(

@@ -12,6 +12,24 @@ from demflow.model.flow.equation.system import System
 # Part of the largest recorded value below which an output's own size no longer counts.
 FAINT = 0.1
 
+# Last digits of a pressure that a march of solves may lose.
+LOST = 64.0
+
+
+class Share(NamedTuple):
+    """How large what is recorded is, for the part that one source has in the error of a sum."""
+
+    output: np.ndarray  # (sources, l, o) per unit of the source; 0 where it does not count
+    field: np.ndarray  # (sources,) Pa per unit of the source, of maps
+
+
+class Steps(NamedTuple):
+    """What is known of the steps that will be summed, of each source."""
+
+    size: np.ndarray  # (sources,) Pa or m³/s, about how large the largest is beside the others'
+    number: np.ndarray  # (sources,) how many there are
+    shortest: np.ndarray  # (sources,) s, from one to the next; infinite where there is one
+
 
 class Problem(NamedTuple):
     """Unit step responses of the flow equation at given lags.
@@ -29,6 +47,8 @@ class Problem(NamedTuple):
     safety_factor: float
     step: float | None = None  # s, what explicit takes for its limit; None: the positivity limit
     check_flows: bool = True  # inflows at fixed pressures are held to the tolerance too
+    steps: Steps | None = None  # None: each source is judged by itself
+    share: Share | None = None  # what errors are compared with; None: the response itself
 
     @property
     def active_sources(self) -> list[int]:
@@ -73,7 +93,14 @@ class Problem(NamedTuple):
         The well that is the source is compared at every lag with its own pressure change,
         anything else with the largest value that it takes, or where it takes next to none
         with a tenth (`FAINT`) of the largest pressure or flow, the source's own included.
+        Where the problem shares the error of sums out between sources, with its `share`.
         """
+        if self.share is not None:
+            size = self.share.output[source, len(self.lag) - len(output) :].copy()
+            if (well := self.own_well(source)) is not None:
+                own_size = np.abs(output[:, well]) / len(self.active_sources)
+                size[:, well] = np.maximum(size[:, well], own_size)
+            return size
         records = self.records
         is_flow = np.zeros(output.shape[1], dtype=bool)
         is_flow[records.well_rows : records.well_rows + records.flow_rows] = True
@@ -95,9 +122,26 @@ class Answer(NamedTuple):
     output: np.ndarray  # (sources, l, o)
     cumulative: np.ndarray  # (sources, l, fixed + 1) inflows of fixed pressures, stored volume
     pressure: np.ndarray  # (sources, l, m)
+    missing: np.ndarray  # (sources, l) m³ that were out of balance before that was mended
     time_error: float
     residual: float
     work: int
+
+
+def flow_noise(problem: Problem, source: int, output: np.ndarray) -> float:
+    """Relative round-off of the inflow (in outputs (l, o)) at the fixed pressure that acts.
+
+    It is a difference of pressures times conductances. A strong pipe to a fixed pressure carries
+    little where the rock behind it is tight: the pressures at its ends then agree in all digits
+    that a double has.
+    """
+    later = problem.lag > 0.0
+    if not problem.flows_count or source >= problem.system.fixed_count or not later.any():
+        return 0.0
+    own = problem.records.well_rows + source
+    size = problem.scale(source, output[later])[:, own]
+    noise = LOST * np.finfo(float).eps * problem.records.direct[source, own]
+    return float(np.max(noise / size[size > 0.0], initial=0.0))
 
 
 def empty_answer(problem: Problem) -> Answer:
@@ -107,6 +151,7 @@ def empty_answer(problem: Problem) -> Answer:
         output=np.zeros((sources, lags, problem.records.rows.shape[0])),
         cumulative=np.zeros((sources, lags, problem.system.fixed_count + 1)),
         pressure=np.zeros((sources, lags, len(problem.domain))),
+        missing=np.zeros((sources, lags)),
         time_error=0.0,
         residual=0.0,
         work=0,

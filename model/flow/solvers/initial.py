@@ -29,6 +29,7 @@ class Initial(NamedTuple):
     cumulative: np.ndarray  # (fields, l, fixed + 1)
     pressure: np.ndarray  # (fields, l, m)
     volume: np.ndarray  # (fields,) m³ stored above the mean or lacking below it
+    missing: np.ndarray  # (fields, l) m³ that were out of balance before that was mended
 
 
 def with_linear_fields(
@@ -59,10 +60,11 @@ def decaying(problem: Problem, answer: Answer) -> tuple[Answer, Initial]:
         output=answer.output[:first],
         cumulative=answer.cumulative[:first],
         pressure=answer.pressure[:first],
+        missing=answer.missing[:first],
     )
     mean = system.initial @ system.storage / system.storage.sum()
     volume = np.abs(system.initial - mean[:, None]) @ system.storage
-    return rest, Initial(output, cumulative, pressure, volume)
+    return rest, Initial(output, cumulative, pressure, volume, answer.missing[first:])
 
 
 def at_rest(problem: Problem) -> Initial:
@@ -85,6 +87,7 @@ def at_rest(problem: Problem) -> Initial:
         cumulative=np.zeros_like(found.cumulative[held]),
         pressure=found.pressure[held],
         volume=np.zeros(system.fixed_count),
+        missing=np.zeros((system.fixed_count, 1)),
     )
 
 
@@ -96,4 +99,5 @@ def none_at_all(problem: Problem) -> Initial:
         np.zeros((0, 1, records.flow_rows + 1)),
         np.zeros((0, 1, len(problem.domain))),
         np.zeros(0),
+        np.zeros((0, 1)),
     )

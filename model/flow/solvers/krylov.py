@@ -19,10 +19,17 @@ from collections.abc import Callable
 import numpy as np
 
 from demflow.model.flow.equation.algebraic import algebraic
-from demflow.model.flow.equation.balance import transient_misfit
-from demflow.model.flow.equation.problem import Answer, Problem, empty_answer, fill_map
+from demflow.model.flow.equation.balance import steady_flow, transient_misfit
+from demflow.model.flow.equation.problem import (
+    Answer,
+    Problem,
+    empty_answer,
+    fill_map,
+    flow_noise,
+)
 from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise
+from demflow.model.flow.solvers.share import shared_out
 from demflow.model.flow.solvers.subspace import MOST_VECTORS, Basis, Subspace
 from demflow.model.network.connectivity import reached
 from demflow.model.outcome import ModelError
@@ -53,6 +60,11 @@ NOISE_SHARE = 0.5
 # The same for the answer itself, which keeps volume and is differentiated.
 LAST_NOISE = 1e-3
 
+# Round-off that the load of a slow mode may have, of the tolerance; beyond, the space of a fixed
+# pressure starts from the steady state.
+# A window that is short beside the slow modes is better served by the source.
+LOAD_NOISE, LEAST_LOAD_NOISE = 1e-2, 1e-8
+
 # Part of the way to the tolerance, at the rate seen, that the space grows between two checks
 # that cost as much as several vectors.
 STRIDE = 0.3
@@ -71,6 +83,14 @@ MAP_CHECKS = 8
 def krylov(problem: Problem) -> Answer:
     """Step responses to the tolerance, source by source, the factors shared between them.
 
+    Raises `ModelError` as `responses` does.
+    """
+    return responses(shared_out(problem, responses))
+
+
+def responses(problem: Problem) -> Answer:
+    """The same, every source held to what the problem says of its share.
+
     Raises `ModelError` where `MOST_VECTORS` do not bring the estimated error below the
     tolerance.
     """
@@ -78,25 +98,39 @@ def krylov(problem: Problem) -> Answer:
     wells = algebraic(system)
     answer = empty_answer(problem)
     drained = reached(system.n, system.edge_i, system.edge_j, system.fixed_node)
-    factors = Factors(system)
+    factors = Factors(system, drained)
     error = residual = 0.0
     work = 0
     for k in problem.active_sources:
         source = system.source(k)
         space = Subspace(system, wells, problem.records, source, drained)
+        fast = space.first_decay()
+        rest = None
+        if k < system.fixed_count and _drowned(problem, fast):
+            rest = steady_flow(system, factors.at_rest(), k)
+            space = Subspace(system, wells, problem.records, source, drained, rest.pressure)
         direct = np.zeros(system.n)
         direct[system.pores :] = wells.direct(source)
-        growth = Growth(problem, k, space, direct)
+        own = None if rest is None else float(rest.inflow(system, k)[k])
+        growth = Growth(problem, k, space, direct, own)
         if space.size:
-            error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag)))
+            error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag, fast)))
         basis = space.close(LAST_NOISE * problem.tolerance)
-        last, repaired = _record(problem, k, basis, direct, answer)
+        last, repaired = _record(problem, k, basis, direct, own, answer)
+        if own is None:
+            error = max(error, flow_noise(problem, k, answer.output[k]))
         shift, factor = factors.near(1.0 / (problem.lag[-1] or 1.0))
         rate = basis.vectors @ basis.modes.rate(problem.lag[-1:])[0]
         misfit = transient_misfit(system, factor, shift, k, last, rate)
         residual = float(np.max([residual, misfit, repaired]))
         work += space.solves
     return answer._replace(time_error=error, residual=residual, work=work + factors.made)
+
+
+def _drowned(problem: Problem, fast: float) -> bool:
+    """Whether round-off of what a source's own pores exchange hides what is slow."""
+    share = np.finfo(float).eps * fast * float(problem.lag[-1])
+    return bool(share > max(LOAD_NOISE * problem.tolerance, LEAST_LOAD_NOISE))
 
 
 class Factors:
@@ -106,15 +140,23 @@ class Factors:
     shifts of each depend on itself alone.
     """
 
-    def __init__(self, system: System) -> None:
-        self.system = system
+    def __init__(self, system: System, drained: np.ndarray) -> None:
+        self.system, self.drained = system, drained
         self.symbolic: Symbolic = analyse(system.n, system.edge_i, system.edge_j)
         self._made: dict[int, Factor] = {}
+        self._rest: Factor | None = None
 
     @property
     def made(self) -> int:
         """Number of factors made so far."""
-        return len(self._made)
+        return len(self._made) + (self._rest is not None)
+
+    def at_rest(self) -> Factor:
+        """Factor of G; parts that reach no fixed pressure are held, since nothing flows there."""
+        if self._rest is None:
+            excess = self.system.excess + np.where(self.drained, 0.0, self.system.edge_g.max())
+            self._rest = factorise(self.symbolic, self.system.edge_g, excess)
+        return self._rest
 
     def near(self, shift: float) -> tuple[float, Factor]:
         """The shift of the ladder nearest to `shift` > 0, and its factor."""
@@ -129,8 +171,8 @@ class Factors:
 class Poles:
     """The poles of one source's space, used in turn."""
 
-    def __init__(self, factors: Factors, space: Subspace, lag: np.ndarray) -> None:
-        self.factors, self.space = factors, space
+    def __init__(self, factors: Factors, space: Subspace, lag: np.ndarray, fast: float) -> None:
+        self.factors, self.space, self.fast = factors, space, fast
         self.first = float(lag[lag > 0][0]) if lag.any() else 1.0
         self.last = float(lag[-1]) if lag.any() else 1.0
         self._known: list[tuple[float, Factor]] = []
@@ -150,7 +192,7 @@ class Poles:
     def _window(self) -> tuple[float, float]:
         """Slow and fast end of the rates that the space and the times have in common, 1/s."""
         slow = max(1.0 / self.last, self.space.slowest())
-        fast = min(1.0 / self.first, self.space.first_decay)
+        fast = min(1.0 / self.first, self.fast)
         return min(slow, fast), max(slow, fast)
 
     def _add(self, pole: float) -> None:
@@ -160,8 +202,17 @@ class Poles:
 class Growth:
     """The growth of one source's space until the recorded outputs have converged."""
 
-    def __init__(self, problem: Problem, source: int, space: Subspace, direct: np.ndarray) -> None:
+    def __init__(
+        self,
+        problem: Problem,
+        source: int,
+        space: Subspace,
+        direct: np.ndarray,
+        own_flow: float | None,
+    ) -> None:
+        """Of a space that starts from the source, or at rest with its flow there, m³/s."""
         self.problem, self.source, self.space = problem, source, space
+        self.own_flow = own_flow
         self.direct = problem.records.rows @ direct + problem.records.direct[source]
         self.lag = problem.lag[problem.lag > 0]
         some = np.unique(np.linspace(0, len(self.lag) - 1, MAP_CHECKS).astype(int))
@@ -261,6 +312,10 @@ class Growth:
         """Recorded outputs (l, o) of the space's first vectors."""
         if size not in self._outputs:
             self._outputs[size] = self.space.outputs(self._known(size)) + self.direct
+            if self.own_flow is not None:
+                own = self.problem.records.well_rows + self.source
+                flow = self.space.modes(size).own_flow(self.lag)
+                self._outputs[size][:, own] = self.own_flow + flow
         return self._outputs[size]
 
     def _output_change(self, size: int, before: int) -> float:
@@ -287,15 +342,27 @@ class Growth:
         change[:, : now.shape[1] - (size - before)] -= self.space.modes(before).pressure(
             self.map_lag
         )
-        largest = np.abs(self.space.fields(now)).max(initial=0.0)
+        share = self.problem.share
+        if share is None:
+            largest = np.abs(self.space.fields(now)).max(initial=0.0)
+        else:
+            largest = share.field[self.source]
         moved = np.abs(self.space.fields(change)).max(initial=0.0)
         return float(moved / largest) if largest > 0.0 else 0.0
 
 
 def _record(
-    problem: Problem, source: int, basis: Basis, direct: np.ndarray, answer: Answer
+    problem: Problem,
+    source: int,
+    basis: Basis,
+    direct: np.ndarray,
+    own_flow: float | None,
+    answer: Answer,
 ) -> tuple[np.ndarray, float]:
     """Fill one source's part of the answer (in place).
+
+    The flow of a source whose space starts at rest is what it lets in there, `own_flow`, and what
+    its modes do; what is stored tells the volume.
 
     The pressure (n,) at the last lag, and the largest volume that had to be put right (see
     `_balanced`) over the volume moved.
@@ -305,10 +372,22 @@ def _record(
     flows = slice(records.well_rows, records.well_rows + records.flow_rows)
     through = records.rows[flows] @ direct
     given = float(problem.system.source(source).sum() + through.sum())
-    pressure, integral, missing = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
+    if own_flow is None:
+        pressure, integral, missing = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
+    else:
+        pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
     answer.output[source] = pressure @ basis.rows.T + alone
     answer.cumulative[source, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
     answer.cumulative[source, :, -1] = pressure @ basis.stored
+    if own_flow is not None:
+        own = problem.records.well_rows + source
+        answer.output[source, :, own] = own_flow + basis.modes.own_flow(lag)
+        let_in = answer.cumulative[source, :, :-1]
+        let_in[:, source] = own_flow * lag + basis.modes.own_volume(lag)
+        missing = answer.cumulative[source, :, -1] - let_in.sum(axis=1)
+        let_in[:, source] += missing
+        missing = np.abs(missing)
+    answer.missing[source] = missing
     if len(problem.domain):
         fields = pressure @ basis.vectors.T + direct
         answer.pressure[source] = fill_map(problem, source, fields)
@@ -326,14 +405,17 @@ def _balanced(
     The constants lie in the space, so that what the fixed pressures let in, `let_in` (m,) of
     each vector, is what is stored less what is `given`. Behind a barrier the pressures that
     drive it are nothing but round-off beside those before it. The smallest change in the
-    C-norm restores it. What was missing (l,), m³, comes with them.
+    C-norm restores it. What was missing (l,), m³, comes with them: in volume, or in the present
+    flow, had it been so all the time.
     """
     pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
     size = float(let_in @ let_in)
+    found_missing = np.abs(pressure @ basis.stored - given * lag - integral @ let_in)
     if size > 0.0:
         missing = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
+        found_missing = np.maximum(found_missing, lag * np.abs(missing))
         pressure += missing[:, None] * (let_in / size)
     missing = pressure @ basis.stored - given * lag - integral @ let_in
     if size > 0.0:
         integral += missing[:, None] * (let_in / size)
-    return pressure, integral, np.abs(missing)
+    return pressure, integral, found_missing

@@ -10,7 +10,7 @@ import numpy as np
 
 from demflow.model.flow.equation.outputs import outputs
 from demflow.model.flow.equation.probes import between_pores
-from demflow.model.flow.equation.problem import Answer, Problem
+from demflow.model.flow.equation.problem import Answer, Problem, Steps
 from demflow.model.flow.equation.sites import WellSite, change_times, time_since
 from demflow.model.flow.equation.system import assemble
 from demflow.model.flow.solvers.explicit import explicit, paper_step
@@ -39,6 +39,7 @@ from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network, Responses
 from demflow.model.region import Region
 from demflow.model.scene import LEAST_TOLERANCE, Probe
+from demflow.model.threads import one_blas_thread
 
 
 class FlowSolver(NamedTuple):
@@ -153,6 +154,7 @@ def flow(
     step: str = "corrected",
     check_flows: bool = True,
     initial: str = "uniform",
+    decades: tuple[int, ...] | None = None,
 ) -> Responses:
     """Responses of the network to a unit step of each source (the *flow* stage).
 
@@ -177,6 +179,9 @@ def flow(
         than the pressure of a well.
     initial : what the transient starts from: one pressure everywhere (`uniform`), a linear
         field (`gradient`), or the steady state of all fixed pressures (`steady`).
+    decades : powers of ten of how large a step of each source is, Pa or m³/s, beside one another;
+        the tolerance holds for their sum. None: of one source; of several, that each response is
+        held to the tolerance by itself.
 
     Returns
     -------
@@ -214,6 +219,9 @@ def flow(
         if step == "paper"
         else None,
         check_flows=check_flows,
+        steps=_steps(wells, len(sides), initial, decades)
+        if decades is not None or sum(active) < 2
+        else None,
     )
     _foresee(problem)
     start = none_at_all(problem)
@@ -221,7 +229,8 @@ def flow(
         start = at_rest(problem)
         moves = np.arange(system.source_count) >= system.fixed_count
         problem = problem._replace(active=problem.active & moves)
-    choice, answer = solve(method, problem)
+    with one_blas_thread():
+        choice, answer = solve(method, problem)
     _check_finite(answer, choice.method)
     met = answer.time_error <= tolerance if SOLVERS[choice.method].controls_error else math.nan
     if initial == "gradient":
@@ -231,6 +240,8 @@ def flow(
         output=answer.output,
         cumulative=answer.cumulative,
         pressure=answer.pressure,
+        missing=answer.missing,
+        least_flow=np.array([problem.own_size(k)[1] for k in range(len(answer.output))]),
         domain=problem.domain,
         reached=system.reached(problem.domain),
         time_error=np.asarray(answer.time_error),
@@ -244,6 +255,7 @@ def flow(
         initial_cumulative=start.cumulative,
         initial_pressure=start.pressure,
         initial_volume=start.volume,
+        initial_missing=start.missing,
         solver=np.asarray(choice.method),
         solver_reason=np.asarray(choice.reason),
     )
@@ -253,6 +265,25 @@ def _mapped(network: Network, apertures: Apertures) -> np.ndarray:
     """Places whose pressure maps hold: domains inside the region, then the nodes of traces."""
     nodes = len(network.x) + np.arange(len(apertures.node_x))
     return np.append(np.flatnonzero(network.inside), nodes)
+
+
+def _steps(
+    wells: tuple[WellSite, ...], sides: int, initial: str, decades: tuple[int, ...] | None
+) -> Steps:
+    """What is known of the steps of every source."""
+    held = sides + sum(well.fixed_pressure for well in wells)
+    changes = [np.array(well.change_times) for well in wells if not well.fixed_pressure]
+    fields = 2 if initial == "gradient" else 0
+    once, never = np.ones(held), np.full(held, np.inf)
+    size = np.ones(held + len(changes) + fields)
+    if decades is not None:
+        size = 10.0 ** np.asarray(decades, dtype=float)
+    shortest = [np.diff(times).min(initial=np.inf) for times in changes]
+    return Steps(
+        size,
+        np.concatenate([once, [max(1, len(times)) for times in changes], np.ones(fields)]),
+        np.concatenate([never, shortest, np.full(fields, np.inf)]),
+    )
 
 
 def _foresee(problem: Problem) -> None:

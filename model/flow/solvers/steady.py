@@ -32,6 +32,7 @@ def steady(problem: Problem) -> Answer:
         found = steady_flow(system, factor, k)
         answer.output[k, 0] = records.rows @ found.pressure + records.direct[k]
         answer.output[k, 0, flows] = found.inflow(system, k)
+        answer.missing[k] = found.missing
         answer.pressure[k] = fill_map(problem, k, found.pressure[None])
         residual = max(residual, found.imbalance, found.misfit)
         work += 1 + found.refinements

@@ -7,6 +7,11 @@ follows from the coefficients of the orthogonalisation alone (Ruhe 1984, Linear 
 58, 391–405). Its round-off is that of the largest eigenvalue; where that is too much for the
 slowest modes, or once at the end, the projection is measured: the QR decomposition of the
 edge differences √g (u_i − u_j) keeps small eigenvalues that a product would lose.
+
+A fixed pressure behind a strong pipe puts into C^(−1/2) f what its own pores exchange with it, and
+a slow mode's share in that lies below its last digit. The space of such a source starts from the
+steady state u = G⁻¹ f instead: the response is u − e^(−tC⁻¹G) u, in which each mode has the load
+λ (φ, u), and the flow from the source is that at rest plus Σ λ (φ, u)² e^(−λt), a sum of one sign.
 """
 
 from __future__ import annotations
@@ -37,6 +42,7 @@ class Modes(NamedTuple):
     decay: np.ndarray  # (k,) eigenvalues λ, 1/s
     vectors: np.ndarray  # (m, k) in the basis
     load: np.ndarray  # (k,) source
+    rest: np.ndarray  # (k,) steady state, of a space that starts from it
 
     def pressure(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the basis (l, m) of the pressure, (1 − e^(−λt)) / λ in each mode."""
@@ -51,6 +57,14 @@ class Modes(NamedTuple):
     def rate(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the pressure's rate of change."""
         return np.asarray((np.exp(-lag[:, None] * self.decay) * self.load) @ self.vectors.T)
+
+    def own_flow(self, lag: np.ndarray) -> np.ndarray:
+        """What a source that the space starts at rest with lets in beyond its steady flow, (l,)."""
+        return np.asarray(np.exp(-lag[:, None] * self.decay) @ (self.load * self.rest))
+
+    def own_volume(self, lag: np.ndarray) -> np.ndarray:
+        """The time integral of `own_flow`."""
+        return np.asarray(-np.expm1(-lag[:, None] * self.decay) @ self.rest**2)
 
 
 def _phi1(z: np.ndarray) -> np.ndarray:
@@ -78,8 +92,11 @@ class Subspace:
         records: Records,
         source: np.ndarray,
         drained: np.ndarray,
+        rest: np.ndarray | None = None,
     ) -> None:
         """Start from a source (n,); where nothing is `drained` (n,) the constants stand before it.
+
+        Or from the steady state (n,) that the source leads to, `rest`.
 
         There the mean pressure never comes to rest; without the constants, which are a mode
         of their own, it would swamp the images for small poles.
@@ -97,7 +114,9 @@ class Subspace:
         sealed = np.where(drained[: system.pores], 0.0, self.root)
         self._append(sealed)
         self.start = self.count
-        if self._append(self.source / self.root):
+        start = self.source / self.root if rest is None else self.root * rest[: system.pores]
+        self.rest = 0.0 if rest is None else float(np.linalg.norm(start))
+        if self._append(start):
             last = self.count - 1
             first = self._space[: system.pores, last]
             self._projected[last, last] = first @ self._applied(first)
@@ -107,10 +126,11 @@ class Subspace:
         """Vectors of the Krylov sequence, the constants not counted."""
         return self.count - self.start
 
-    @property
     def first_decay(self) -> float:
-        """Rate at which the source's own pores respond, 1/s."""
-        return float(self._projected[self.start, self.start])
+        """Rate at which the source's own pores respond, 1/s; 0 where there are none."""
+        load = self.source / self.root
+        size = float(np.linalg.norm(load))
+        return float(load / size @ self._applied(load / size)) if size > 0.0 else 0.0
 
     def extend(self, pole: float, factor: Factor) -> bool:
         """Add the image of the last vector for a pole; whether there was anything to add."""
@@ -141,7 +161,9 @@ class Subspace:
         else:
             decay, vectors = np.linalg.eigh(self._projected[:k, :k])
             decay = np.maximum(decay, 0.0)
-        return Modes(decay, vectors, vectors.T @ self._load[:k])
+        rest = self.rest * vectors[self.start] if k > self.start else np.zeros(k)
+        load = decay * rest if self.rest > 0.0 else vectors.T @ self._load[:k]
+        return Modes(decay, vectors, load, rest)
 
     def noise(self) -> float:
         """Relative round-off of the slowest mode; measured, the root of it is what is squared."""

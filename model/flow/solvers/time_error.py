@@ -1,54 +1,69 @@
-"""The error in time of one answer against a better one of the same network."""
+"""The error in time of what one case records, against a better solution of the same network."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
-from demflow.model.products import Responses
+import numpy as np
 
 # What the reference is computed with; round-off leaves a dense eigen-solution at 1e-10 too.
 REFERENCE_METHOD, REFERENCE_TOLERANCE = "krylov", 1e-10
 
-# Part of the largest value of its kind below which an output's own size no longer counts.
-FAINT = 0.1
+# Part of the largest pressure change, and of the largest flow, below which an output's own size
+# no longer counts.
+FAINT, FAINT_FLOW = 0.1, 1e-6
 
 
-def time_error(found: Responses, exact: Responses, *, fixed: int, wells: int, flows: bool) -> float:
-    """Largest relative error of the unit step responses that were recorded.
+class Recorded(NamedTuple):
+    """What a case records at t times, as far as it is held to the tolerance."""
 
-    A well that is the source is compared at every lag with its own pressure change there; any
-    other pressure, inflow or map with the largest value that it takes, or with a tenth of the
-    largest of its kind where it takes next to none. What is not a number counts as infinite.
+    change: np.ndarray  # (w, t) Pa, of wells at a rate since their last change of rate, else NaN
+    so_far: np.ndarray  # (w, t) Pa, the largest of these in the same flow period until then
+    flow: np.ndarray  # (k, t) m³/s let in at each fixed pressure
+    pressure: np.ndarray  # (p, t) Pa, change at wells at a rate and probes since the start
+    field: np.ndarray  # (t, m) Pa, change of maps
+
+
+def time_error(
+    found: Recorded,
+    exact: Recorded,
+    *,
+    least_pressure: float,
+    least_flow: np.ndarray | float,
+    flows: bool = True,
+) -> float:
+    """Largest relative error of what was recorded, infinite where something is no number.
+
+    The pressure change of a well counts against the largest of its flow period so far, a flow
+    against the largest that it takes, or `FAINT_FLOW` of the largest of all, or what is none; the
+    pressure of a
+    well or probe against its own largest change, or `FAINT` of the largest of any, or of a side;
+    maps against the largest change of any pore.
 
     Parameters
     ----------
-    found, exact : responses of the same sources at the same lags.
-    fixed, wells : number of fixed pressures and of wells at a rate, in this order the first
-        sources; what comes after them moves every pore at once.
-    flows : whether inflows at fixed pressures count.
+    found, exact : the same quantities of the same case.
+    least_pressure : Pa, the largest change of a fixed pressure, to which `FAINT` refers too.
+    least_flow : (k,) or one for all, m³/s: what is no flow at each fixed pressure.
+    flows : whether flows count.
     """
-    later = exact.lag > 0.0
-    is_flow = np.zeros(exact.output.shape[2], dtype=bool)
-    is_flow[wells : wells + fixed] = True
-    worst = 0.0
-    for source in range(exact.output.shape[0]):
-        right, given = exact.output[source, later], found.output[source, later]
-        size = np.broadcast_to(np.abs(right).max(axis=0, initial=0.0), right.shape).copy()
-        is_well = fixed <= source < fixed + wells
-        for kind, own_is_one in ((is_flow, is_well), (~is_flow, source < fixed)):
-            largest = np.max(size[:, kind], initial=float(own_is_one))
-            size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
-        if is_well:
-            size[:, source - fixed] = np.abs(right[:, source - fixed])
-        counts = size > 0.0
-        counts &= ~is_flow | flows
-        worst = max(worst, _largest(given - right, size, counts))
-        field = exact.pressure[source, later]
-        size = np.full(field.shape, np.abs(field).max(initial=0.0))
-        worst = max(worst, _largest(found.pressure[source, later] - field, size, size > 0.0))
-    return worst
+    largest = np.abs(exact.pressure).max(initial=least_pressure)
+    own = np.abs(exact.pressure).max(axis=1, keepdims=True, initial=0.0)
+    worst = [
+        _largest(found.change, exact.change, exact.so_far),
+        _largest(found.pressure, exact.pressure, np.maximum(own, FAINT * largest)),
+        _largest(found.field, exact.field, np.abs(exact.field).max(initial=0.0)),
+    ]
+    if flows:
+        own = np.abs(exact.flow).max(axis=1, keepdims=True, initial=0.0)
+        least = np.maximum(least_flow, FAINT_FLOW * np.abs(exact.flow).max(initial=0.0))
+        worst.append(_largest(found.flow, exact.flow, np.maximum(own, np.c_[least])))
+    return max(worst)
 
 
-def _largest(difference: np.ndarray, size: np.ndarray, counts: np.ndarray) -> float:
-    ratio = np.abs(difference)[counts] / size[counts]
+def _largest(found: np.ndarray, exact: np.ndarray, size: np.ndarray | float) -> float:
+    """Largest error over a size, where the exact value is a number and the size is not zero."""
+    size = np.broadcast_to(size, exact.shape)
+    counts = np.isfinite(exact) & (size > 0.0)
+    ratio = np.abs(found - exact)[counts] / size[counts]
     return float(np.max(np.where(np.isnan(ratio), np.inf, ratio), initial=0.0))

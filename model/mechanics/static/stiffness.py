@@ -19,8 +19,12 @@ from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import PARALLEL_BONDS, BondState
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.law import Law, relative_radius, stiffnesses
+from demflow.model.outcome import ModelError
 
 ANCHOR = 1e-8  # over k_n
+LEAST_PIVOT = 1e-13  # of its diagonal: less is round-off of what was taken away
+MOVES = 1e-3  # part of the largest in a motion
+MOST_NAMED = 8
 TOUCHING = 1e-6  # gap, in mean radii, below which grains count as touching
 
 
@@ -117,20 +121,48 @@ def springs(
 
 
 def factorise(stiffness: csc_array) -> Factor:
-    """Factor a symmetric matrix, in approximate-minimum-degree order."""
+    """Factor a symmetric matrix, in approximate-minimum-degree order.
+
+    Raises `ModelError`, naming the grains that move together, where nothing holds some of them:
+    qdldl itself stops at a pivot of exactly zero only, which round-off hardly ever leaves.
+    """
     upper = stiffness.copy()
     keep = upper.indices <= np.repeat(np.arange(upper.shape[1]), np.diff(upper.indptr))
     counts = np.concatenate([[0], np.cumsum(keep)])[upper.indptr]
     upper = csc_array((upper.data[keep], upper.indices[keep], counts), shape=upper.shape)
     lower, pivot, order = qdldl.Solver(upper, upper=True).factors()
     lower = csc_array(lower)
-    return Factor(
+    factor = Factor(
         np.asarray(order, dtype=np.int64),
         lower.indptr.astype(np.int64),
         lower.indices.astype(np.int32),
         lower.data.astype(float),
         np.array(pivot, dtype=float),
     )
+    held = LEAST_PIVOT * np.abs(stiffness.diagonal()[factor.order])
+    lost = np.flatnonzero(~(factor.pivot > held))
+    if len(lost):
+        loose = np.unique(moving_together(factor, int(lost[0])) // 3)
+        named = ", ".join(str(k) for k in loose[:MOST_NAMED])
+        raise ModelError(
+            f"nothing holds {len(loose)} grains against one another, so that any force moves them "
+            f"without end, first {named}; give them bonds, friction or a larger packing stress"
+        )
+    return factor
+
+
+def moving_together(factor: Factor, eliminated: int) -> Array:
+    """Unknowns that move where the pivot of the one eliminated k-th is lost.
+
+    The column of L⁻ᵀ of that pivot is the motion that meets no resistance.
+    """
+    motion = np.zeros(len(factor.pivot))
+    motion[eliminated] = 1.0
+    for k in range(eliminated - 1, -1, -1):
+        entries = slice(factor.start[k], factor.start[k + 1])
+        motion[k] = -factor.lower[entries] @ motion[factor.row[entries]]
+    moves = np.abs(motion) > MOVES * np.abs(motion).max()
+    return factor.order[moves]
 
 
 def solve(factor: Factor, load: Array) -> Array:
