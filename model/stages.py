@@ -296,7 +296,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="open",
         function="demflow.model.network.apertures:open_pipes",
-        version=2,
+        version=3,
         parents=("network", "walk", "stress", "calibrate"),
         reads={
             "region": lambda s: s.region,

@@ -6,13 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from demflow.model.network.fractures.closure import closed, normal_stress
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network, Permeability, StressState, Walk
 from demflow.model.region import Region
 from demflow.model.scene import Fracture, Matrix, acting_lines
 
 
-def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: float) -> np.ndarray:
+def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: Any) -> np.ndarray:
     """Aperture of pipes under compression, w = w0 F0 / (F + F0).
 
     Eq. 2 with its sign put right: F0 (`half_force`, N per metre) is the force that halves
@@ -143,7 +144,10 @@ def open_pipes(
         branch_length=walked.branch_length,
     )
     open_lines = np.array([line.aperture or 0.0 for line in lines])
-    result = _with_branches(result, walked, open_lines[walked.branch_line], viscosity)
+    hydraulic = open_lines[walked.branch_line]
+    if stress is not None:
+        hydraulic = _closed(walked, stress, [fractures[k] for k in fracture], hydraulic)
+    result = _with_branches(result, walked, hydraulic, viscosity)
     result = _with_barriers(result, network, walked, [fractures[k] for k in fracture], viscosity)
     ends = walked.branch_line[(walked.node_side[walked.branch_a, 0] >= 0)]
     acts = acts + _per_line(walked, walked.cross_line, walked.wall_line, walked.cut_line, ends)
@@ -170,6 +174,21 @@ def _widened(
     on_fracture[pipe] = line
     np.maximum.at(unstressed, pipe, wide[line])
     return _per_line(walked, line[wins]), on_fracture
+
+
+def _closed(
+    walked: Walk, stress: StressState, fractures: list[Fracture], aperture: np.ndarray
+) -> np.ndarray:
+    """Apertures of branches (e,) m under the stress across them, where a law is given."""
+    laws = {f.closure: f for f in fractures if f.closure is not None}
+    if not laws or not len(aperture):
+        return aperture
+    across = normal_stress(stress, walked)
+    result = aperture.copy()
+    for law in laws:
+        ours = np.array([f.closure == law for f in fractures])[walked.branch_line]
+        result[ours] = closed(aperture[ours], across[ours], law)
+    return result
 
 
 def _with_branches(
@@ -234,14 +253,18 @@ def _stressed(
     network: Network, stress: StressState | None, unstressed: np.ndarray, matrix: Matrix
 ) -> np.ndarray:
     """Apertures under the contact forces; unchanged where no force law is given."""
-    if stress is None or matrix.half_force is None:
+    if stress is None or (matrix.half_force is None and matrix.half_stress is None):
         return unstressed
+    half: Any = matrix.half_force
+    if matrix.half_stress is not None:
+        radii = network.grain_radius
+        half = matrix.half_stress * (radii[network.pipe_grain_a] + radii[network.pipe_grain_b])
     contact = pipe_contacts(network, stress)
     force = np.where(contact >= 0, stress.normal_force[contact], 0.0)
     gap = np.maximum(pipe_gaps(network, stress), 0.0)
     return np.where(
         force > 0.0,
-        stressed_aperture(unstressed, np.maximum(force, 0.0), matrix.half_force),
+        stressed_aperture(unstressed, np.maximum(force, 0.0), half),
         parted_aperture(unstressed, gap, matrix.gap_factor),
     )
 

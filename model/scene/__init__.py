@@ -9,6 +9,7 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 from demflow.model.parameters import SceneError
 from demflow.model.region import Circle, Polygon, Rectangle, Region
 from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
+from demflow.model.scene.closure import BartonBandis, Closure
 from demflow.model.scene.distributions import (
     Exponential,
     LengthPower,
@@ -52,11 +53,13 @@ __all__ = [
     "LEAST_TOLERANCE",
     "MEASURED_BY_A_TEST",
     "OBSERVABLES",
+    "BartonBandis",
     "BiWing",
     "Bonds",
     "Exponential",
     "FailureTest",
     "Circle",
+    "Closure",
     "Contact",
     "FlowLine",
     "Fluid",

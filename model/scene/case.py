@@ -192,6 +192,8 @@ class Scene:
                 yield name, f"what is observed needs a {name}"
         if self.matrix is not None and self.matrix.half_force is not None and self.stress is None:
             yield "matrix.half_force", "apertures follow forces only under a stress"
+        if self.matrix is not None and self.matrix.half_stress is not None and self.stress is None:
+            yield "matrix.half_stress", "apertures follow forces only under a stress"
 
     def _transient_problems(self) -> Problems:
         """What a transient lacks, and what is wrong with its start."""

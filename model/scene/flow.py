@@ -56,6 +56,13 @@ class Matrix:
         help="contact force F0 that halves an aperture (Eq. 2); forces are about 2 r times the "
         "stress, so it belongs to a grain size",
     )
+    half_stress: float | None = parameter(
+        "Pa",
+        default=None,
+        above=0,
+        help="stress that halves an aperture: half_force is 2 r times it at each contact, whatever "
+        "the size of the grains",
+    )
     gap_factor: float = parameter(
         default=0.5, at_least=0, at_most=1, help="aperture gained per gap between grains, m (Eq. 3)"
     )
@@ -64,6 +71,8 @@ class Matrix:
         check_fields(self)
         if (self.permeability is None) == (self.aperture is None):
             raise SceneError([("permeability", "give either permeability or aperture")])
+        if self.half_force is not None and self.half_stress is not None:
+            raise SceneError([("half_stress", "give either half_force or half_stress")])
 
 
 @dataclass(frozen=True, slots=True)

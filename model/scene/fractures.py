@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Region, clip_segments
+from demflow.model.scene.closure import Closure
 from demflow.model.scene.distributions import Angle, Aperture, Length, LogNormal
 from demflow.model.scene.random_sets import Drawing, expected, segments, window_problems
 from demflow.model.scene.rock import FailureTest, Stress
@@ -101,6 +102,9 @@ class _FractureProperties:
         help="who owns the storage of the pores along a fracture of given permeability; "
         "default: fracture",
     )
+    closure: Closure | None = parameter(
+        default=None, help="how its aperture closes under the stress across it; none: not at all"
+    )
     joint: Joint | None = parameter(
         default=None, help="how its contacts slide where the scene names a stress; none: as grains"
     )
@@ -146,6 +150,8 @@ class _FractureProperties:
             problems.append((given[0] if given else "", what))
         elif self.thickness is not None and self.permeability is None:
             problems.append(("thickness", "a barrier of some thickness needs a permeability"))
+        if self.closure is not None and self.part != "trace":
+            problems.append(("closure", "closes an aperture; give one, or leave it out"))
         if self.pore_storage == "fracture" and self.part != "chain":
             what = "belongs to a fracture given by a permeability; another stores in its own volume"
             problems.append(("pore_storage", what))

@@ -1,0 +1,108 @@
+"""Hydraulic apertures of traces under the normal stress across them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from demflow.model.outcome import ModelError
+from demflow.model.products import StressState, Walk
+from demflow.model.scene import BartonBandis, Closure
+
+# Grains around a piece whose mean stress is that across it; fewer scatter by their force chains.
+AROUND = 800
+
+# The layer at the walls, in parts of the specimen, is no sample of its inside.
+LAYER = 0.1
+
+# Part of its aperture that a fracture keeps under any stress.
+RESIDUAL = 1e-3
+
+
+def half_stress(w0: np.ndarray, stress: np.ndarray, half: float) -> np.ndarray:
+    """W = w0 σ0 / (σ + σ0), m, of apertures w0 (m) under stresses σ ≥ 0 (Pa)."""
+    return w0 * half / (stress + half)
+
+
+def hyperbolic(stress: np.ndarray, stiffness: float, largest: np.ndarray) -> np.ndarray:
+    """Closure σ V_m / (k_n V_m + σ), m (Bandis, Lumsden & Barton 1983, IJRMMS 20, 249–268)."""
+    return stress * largest / (stiffness * largest + stress)
+
+
+def barton_bandis(w0: np.ndarray, stress: np.ndarray, wall: BartonBandis) -> np.ndarray:
+    """Hydraulic aperture, m, by roughness and strength of the walls, first loading.
+
+    Mechanical aperture E and hydraulic e of a rough fracture go as e = E² / JRC^2.5 in µm, e ≤ E;
+    E closes hyperbolically from k_ni = −7.15 + 1.75 JRC + 0.02 JCS/E0 (MPa/mm) by at most
+    V_m = −0.296 − 0.0056 JRC + 2.241 (JCS/E0)^−0.245 (mm) (Bandis et al. 1983; Barton, Bandis &
+    Bakhtar 1985, IJRMMS 22, 121–140), and never by all of E0.
+    """
+    rough = wall.jrc**2.5 * 1e-6
+    open_ = np.maximum(np.sqrt(w0 * rough), w0)
+    ratio = wall.jcs * 1e-6 / (open_ * 1e3)
+    stiffness = (-7.15 + 1.75 * wall.jrc + 0.02 * ratio) * 1e9
+    if np.any(stiffness <= 0.0):
+        raise ModelError(
+            f"barton_bandis gives no stiffness for a JRC of {wall.jrc:g} and apertures up to "
+            f"{w0.max():.3g} m; give a rougher or stronger wall, or a stiffness"
+        )
+    largest = (-0.296 - 0.0056 * wall.jrc + 2.241 * ratio**-0.245) * 1e-3
+    largest = np.clip(largest, RESIDUAL * open_, (1.0 - RESIDUAL) * open_)
+    left = open_ - stress * largest / (stiffness * largest + stress)
+    return np.minimum(left, left**2 / rough)
+
+
+def closed(w0: np.ndarray, stress: np.ndarray, law: Closure) -> np.ndarray:
+    """Apertures (n,) m under normal stresses (n,) Pa; tension leaves them as they are."""
+    stress = np.maximum(stress, 0.0)
+    if law.half_stress is not None:
+        left = half_stress(w0, stress, law.half_stress)
+    elif law.barton_bandis is not None:
+        left = barton_bandis(w0, stress, law.barton_bandis)
+    elif law.stiffness is not None and law.largest_closure is not None:
+        largest = np.full(len(w0), law.largest_closure)
+        left = w0 - hyperbolic(stress, law.stiffness, largest)
+    else:
+        left = w0 - stress / (law.stiffness or np.inf)
+    return np.maximum(left, RESIDUAL * w0)
+
+
+def normal_stress(state: StressState, walked: Walk) -> np.ndarray:
+    """Stress across each branch, n · σ · n (e,) Pa, compression positive.
+
+    σ is the mean of the `AROUND` grains nearest to its middle, Σ f ⊗ l over half of each contact's
+    branch vector l, over the area that as many grains have in the specimen; their mean over its
+    inside is brought to the stress of the specimen.
+    """
+    a, b = state.contact_a, state.contact_b
+    between = np.column_stack([state.x[b] - state.x[a], state.y[b] - state.y[a]])
+    n = between / np.hypot(*between.T)[:, None]
+    shear = state.shear_force[:, None] * np.column_stack([-n[:, 1], n[:, 0]])
+    force = state.normal_force[:, None] * n + shear
+    moment = 0.5 * force[:, :, None] * between[:, None, :]
+    count = len(state.x)
+    grains = np.zeros((count, 2, 2))
+    np.add.at(grains, a, moment)
+    np.add.at(grains, b, moment)
+    ends = np.column_stack([walked.branch_a, walked.branch_b])
+    middle = np.column_stack([walked.node_x[ends].mean(axis=1), walked.node_y[ends].mean(axis=1)])
+    many = min(AROUND, count)
+    _, near = cKDTree(np.column_stack([state.x, state.y])).query(middle, np.arange(1, many + 1))
+    west, east, south, north = state.box
+    area = (east - west) * (north - south) * many / count
+    along = (walked.line_end - walked.line_start)[walked.branch_line]
+    along /= np.hypot(*along.T)[:, None]
+    across = np.column_stack([-along[:, 1], along[:, 0]])
+    # only the component across is summed over the grains around, a chunk of branches at a time
+    inner = (np.abs(state.x - 0.5 * (west + east)) < (0.5 - LAYER) * (east - west)) & (
+        np.abs(state.y - 0.5 * (south + north)) < (0.5 - LAYER) * (north - south)
+    )
+    whole = grains[inner].mean(axis=0) * many / area
+    xx, yy, xy = state.stress
+    offset = np.array([[xx, xy], [xy, yy]]) - 0.5 * (whole + whole.T)
+    found = np.empty(len(middle))
+    for begin in range(0, len(middle), 1000):
+        part = slice(begin, begin + 1000)
+        tensor = grains[near[part]].sum(axis=1) / area + offset
+        found[part] = np.einsum("ei,eij,ej->e", across[part], tensor, across[part])
+    return found
