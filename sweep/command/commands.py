@@ -283,7 +283,8 @@ def _summary(finished: Finished) -> str:
         stored = "" if finished.missing else "all were stored, "
         return f"{text}; {stored}nothing was computed"
     done = finished.executed
-    return f"{text}; {_count(done.computed, 'stage run')} in {duration(done.seconds)}"
+    runs = f"{_count(done.computed, 'stage run')} in {duration(done.seconds)}"
+    return f"{text}; {runs}, {duration(done.worked)} of work beside starting and compiling"
 
 
 def _tell_places(finished: Finished, options: argparse.Namespace) -> None:

@@ -27,7 +27,8 @@ class Executed:
     damaged: list[str] = field(default_factory=list)  # products computed again, and why
     deaths: int = 0  # of workers
     refused: list[str] = field(default_factory=list)  # workers that came in mid-run and cannot help
-    seconds: float = 0.0
+    seconds: float = 0.0  # by the clock, from the first worker's start
+    worked: float = 0.0  # s that the stage runs took, without compiling
 
     def joined(self, other: Executed | None) -> Executed:
         """What this and another execution did together."""
@@ -40,6 +41,7 @@ class Executed:
             self.deaths + other.deaths,
             self.refused + other.refused,
             self.seconds + other.seconds,
+            self.worked + other.worked,
         )
 
 
@@ -113,6 +115,7 @@ class Ledger:
 
     def _done(self, run: int, *spent: Any, here: bool = True) -> None:
         self.report.computed += 1
+        self.report.worked += spent[0]
         self.schedule.done(run, *spent, here=here)
         self.tally.finish(run, good=True)
 
