@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import csv
-import os
-from pathlib import Path
 
 import numpy as np
 
 from demflow.model import simulate
 from demflow.model.scene import Fluid, Grains, Matrix, Rectangle, Scene, Trace
+from tests.benchmarks.outside_data import outside
 from tests.benchmarks.result import Result
 
 # Case 4 of Flemisch et al. 2018, Adv. Water Resour. 111, 239–258, and its inflow in m³/s at 1 Pa s.
@@ -17,7 +16,7 @@ INFLOW = 6.34e-8
 APERTURE = (12.0 * 1e-10) ** (1 / 3)  # of the transmissivity 1e-2 m · 1e-8 m²
 PACKINGS = 6
 SIZES = {5_000: (0.03, 0.06), 20_000: (0.02, 0.04), 80_000: (0.01, 0.02)}  # mean, worst
-DATA = "DEMFLOW_TRACES"  # folder of flemisch_case_4.csv: id, x0, y0, x1, y1 in m
+DATA = "traces/flemisch_case_4.csv"  # id, x0, y0, x1, y1 in m
 
 
 def inflow(traces: tuple[Trace, ...], grains: int, seed: int) -> float:
@@ -39,10 +38,7 @@ def inflow(traces: tuple[Trace, ...], grains: int, seed: int) -> float:
 def run() -> Result:
     """Mean and worst deviation over packings of each size."""
     bound = "; ".join(f"{n}: mean ≤ {m:.0%}, worst ≤ {w:.0%}" for n, (m, w) in SIZES.items())
-    path = Path(os.environ.get(DATA, "")) / "flemisch_case_4.csv"
-    if not path.is_file():
-        return Result(f"{path.name} is not in the folder that {DATA} names", bound, False)
-    with path.open(newline="") as file:
+    with outside(DATA).open(newline="") as file:
         rows = np.array([[float(v) for v in row[1:5]] for row in list(csv.reader(file))[1:]])
     rows -= np.array([350.0, 300.0, 350.0, 300.0])
     traces = tuple(
