@@ -88,9 +88,9 @@ def active_sources(scene: Scene) -> tuple[bool, ...]:
 def step_decades(scene: Scene) -> tuple[int, ...] | None:
     """How large a step of each source is beside the first that acts, for the stage `flow`.
 
-    Powers of ten, in the order of the sources; 0 of those that do not act, None where one acts
+    Even powers of ten, in the order of the sources; 0 of those that do not act, None where one acts
     alone, or nothing goes on in time: what differs in the size of steps alone shares its responses,
-    to a decade.
+    to within ten times either way.
     """
     controls, active = controls_of(scene), active_sources(scene)
     largest = [max((abs(size) for _, size in steps), default=0.0) for steps in step_sizes(controls)]
@@ -99,7 +99,7 @@ def step_decades(scene: Scene) -> tuple[int, ...] | None:
     if len(acting) < 2 or not controls.transient:
         return None
     return tuple(
-        round(math.log10(size / acting[0])) if acts and size > 0.0 else 0
+        2 * round(0.5 * math.log10(size / acting[0])) if acts and size > 0.0 else 0
         for size, acts in zip(largest, active, strict=True)
     )
 

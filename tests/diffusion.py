@@ -46,7 +46,6 @@ def well_problem(
         start=(-0.7, -0.3),
         end=(0.6, 0.5),
         aperture=matrix * contrast ** (1 / 3),
-        pore_storage="fracture",
     )
     rock = reservoir(packing, Rectangle(2.0, 2.0), matrix, (fracture,) if contrast > 1.0 else ())
     well = Well(name="well", at=at, radius=0.02, rate=1.0)

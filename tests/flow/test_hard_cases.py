@@ -413,9 +413,7 @@ def test_a_circle_cut_from_a_packing_with_everything_in_it(method):
         Circle(0.9),
         1e-5,
         (
-            Trace(
-                name="a", aperture=3e-5, start=(-0.4, -0.4), end=(0.5, 0.6), pore_storage="fracture"
-            ),
+            Trace(name="a", aperture=3e-5, start=(-0.4, -0.4), end=(0.5, 0.6)),
             Trace(name="b", transmissibility_multiplier=0.1, start=(-0.3, 0.5), end=(0.4, -0.6)),
         ),
     )

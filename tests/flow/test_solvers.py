@@ -20,7 +20,7 @@ SCATTERED = random_graph(1.2, 1350, 3)
 # grains of half the size leave every pore room, so that no sliver rules the explicit step
 PACKING = SCATTERED._replace(radius=0.5 * SCATTERED.radius)
 FRACTURES = (
-    Trace(name="open", aperture=3e-5, start=(-0.6, -0.3), end=(0.7, 0.25), pore_storage="fracture"),
+    Trace(name="open", aperture=3e-5, start=(-0.6, -0.3), end=(0.7, 0.25)),
     Trace(name="wall", transmissibility_multiplier=0.05, start=(0.1, 0.6), end=(0.6, -0.5)),
 )
 ROCK = reservoir(PACKING, REGION, 2e-5, FRACTURES)

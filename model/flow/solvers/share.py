@@ -3,7 +3,7 @@
 The pressure of a well that has just begun to flow is small beside what a source far away will
 have done to it later. The tolerance is stated for sums, on the scales below; each of K sources
 may use up one K-th of it. How large the sums are a few Krylov vectors of each source tell, and
-the sizes of their steps, which are known to a decade, so that rates may vary and share responses.
+the sizes of their steps, known to within ten times, so that rates may vary and share responses.
 
 - The pressure of a well at a rate counts at every lag against what the well itself has changed it
   by; of a well that is shut in for good, and of probes, against the largest change of its own, or
@@ -26,7 +26,7 @@ from demflow.model.outcome import ModelError
 ROUGH = 0.1
 
 # How much smaller the part of another source may be than the decades of the steps say.
-SLACK = 10.0**0.5
+SLACK = 10.0
 
 # Part of the largest flow below which a flow's own size no longer counts.
 FAINT_FLOW = 1e-6
