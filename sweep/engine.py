@@ -361,7 +361,7 @@ def _execute(
     stored = prepared.stored()
     if how.force:
         stored[:] = False
-    limits = in_force(prepared.study.limits, None if how.scheduler else how.workers)
+    limits = in_force(prepared.study.limits, how.workers if how.scheduler is None else None)
     failed = prepared.failed(stored, limits)
     if how.retry_failed or how.force:
         failed[:] = False
@@ -386,7 +386,7 @@ def _execute(
             anew=how.force,
         )
     finally:
-        if how.scheduler:
+        if how.scheduler is not None:
             costs.start = start  # of workers of this machine
         costs.led(peak_memory())
         with suppress(OSError):

@@ -77,11 +77,12 @@ DOORS = {  # outer library: the only rooms that may import it
     "threadpoolctl": {"model.threads"},
     "dask": {"sweep.execution.local", "sweep.execution.cluster"},
     "distributed": {
-        "sweep.execution.loop",
+        "sweep.execution.lots",
         "sweep.execution.pool",
         "sweep.execution.local",
         "sweep.execution.cluster",
         "sweep.execution.worker",
+        "sweep.execution.certificate",
     },
     "netCDF4": {
         "sweep.dataset.collect",

@@ -36,18 +36,17 @@ class Blame:
         self._unexplained: list[frozenset[int]] = []  # runs under which a worker died
 
     def died(
-        self, runs: Collection[int], *, alone: bool, seconds: float = 0.0, watched: float = 0.0
+        self, runs: Collection[int], *, seconds: float = 0.0, watched: float = 0.0
     ) -> int | None:
         """A worker died. Return the run to blame, None while it is unknown.
 
         Parameters
         ----------
-        runs : what it was at, or was to do next.
-        alone : whether nothing else waited there.
-        seconds : since it began with them, s.
+        runs : what was left of its lot.
+        seconds : since it began with that, s.
         watched : for which all workers together have stood so far, s.
         """
-        if alone and len(runs) == 1:
+        if len(runs) == 1:
             (run,) = runs
             self.deaths[run] = self.deaths.get(run, 0) + 1
             self._seconds[run] = self._seconds.get(run, 0.0) + seconds

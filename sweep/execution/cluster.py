@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
-import threading
-import time
-from concurrent.futures import CancelledError
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 import dask
-from distributed import Client
+from distributed import Client, Future
+from distributed.comm import parse_address, parse_host_port
+from distributed.core import rpc
 from distributed.security import Security
 
 from demflow.sweep.errors import RunError, SchedulerError
 from demflow.sweep.execution.pool import Pool
 
-CONNECT_SECONDS = 10  # s to wait for a scheduler that was named
+CONNECT_SECONDS = 10.0  # s to wait for a scheduler that was named
+STOPPED_SECONDS = 120.0  # s without an answer after which a scheduler counts as gone
 RESTART_SECONDS = 10.0  # s in which nannies are to end the workers that must go, and start others
+WISHES = 10  # tasks of Dask's expected half second for which it takes one worker, in its 5 s
+ASKED_AT_MOST = 100  # workers
 
 
 class RemotePool(Pool):
@@ -25,83 +29,108 @@ class RemotePool(Pool):
 
     shares_store = False
     patience = math.inf  # they may stand in a queue
+    look_every = 1.0
     parent: int | None = None
 
     def __init__(self, scheduler: str):
+        super().__init__()
+        self.scheduler = scheduler
+        self._restarts: set[asyncio.Task[None]] = set()
+        self._wishes: list[Future] = []
+
+    async def __aenter__(self) -> RemotePool:
         # a parent product may be large, and is meant to travel
         self._config = dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"})
-        self.scheduler = scheduler
         try:
-            security = _security(scheduler)
-            self.client = Client(
-                scheduler, timeout=CONNECT_SECONDS, set_as_default=False, security=security
-            )
-        except SchedulerError:
+            _check_address(self.scheduler)
+            security = _security(self.scheduler)
+            await asyncio.wait_for(self._connect(security), CONNECT_SECONDS)
+        except BaseException as error:
             self._config.__exit__(None, None, None)
-            raise
-        except (OSError, ValueError, TypeError) as error:
-            self._config.__exit__(None, None, None)
-            raise SchedulerError(f"no Dask scheduler answers at {scheduler}: {error}") from error
-        self._workers: dict[str, Any] = {}
-        self._asked = -float("inf")
-        self._restarts: list[threading.Thread] = []
-
-    def addresses(self) -> set[str]:
-        """Workers that are there."""
-        return set(self._look())
-
-    def unfit(self, address: str) -> str | None:
-        """Why a worker must not be sent a job: it has many threads, or nobody to end it."""
-        worker = self._look().get(address, {})
-        if (threads := worker.get("nthreads", 1)) != 1:
-            return (
-                f"the worker {address} has {threads} threads; "
-                "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
-            )
-        if worker and worker.get("nanny") is None:
-            return (
-                f"the worker {address} has no nanny, which ends a case at its limits and starts "
-                "the next worker; leave out `--no-nanny`"
-            )
-        return None
-
-    def _look(self) -> dict[str, Any]:
-        """What the scheduler knows of its workers; asked for once a second."""
-        if time.monotonic() - self._asked > 1.0:
-            try:
-                self._workers = dict(self.client.scheduler_info(n_workers=-1)["workers"])
-            except (OSError, TimeoutError, KeyError) as error:  # KeyError: the client gave up
-                raise RunError(
-                    f"the scheduler {self.scheduler} answers no longer; what was finished is kept"
+            if isinstance(error, OSError | ValueError | TypeError):  # a TimeoutError too
+                why = str(error) or f"nothing of the kind within {CONNECT_SECONDS:g} s"
+                raise SchedulerError(
+                    f"no Dask scheduler answers at {self.scheduler}: {why}"
                 ) from error
-            self._asked = time.monotonic()
-        return self._workers
+            raise
+        return self
+
+    async def _connect(self, security: Security) -> None:
+        async with rpc(
+            self.scheduler, connection_args=security.get_connection_args("client")
+        ) as there:
+            found = (await there.identity())["type"]
+        if not found.endswith("Scheduler"):
+            raise ValueError(f"it is a {found}; name the address that its scheduler tells")
+        self.client = await Client(
+            self.scheduler,
+            timeout=CONNECT_SECONDS,
+            set_as_default=False,
+            security=security,
+            asynchronous=True,
+        )
+
+    async def look(self) -> Mapping[str, Mapping[str, Any]]:
+        """What the scheduler knows of its workers."""
+        scheduler: Any = self.client.scheduler
+        try:
+            asked = scheduler.identity(n_workers=-1)
+            return dict((await asyncio.wait_for(asked, STOPPED_SECONDS))["workers"])
+        except TimeoutError:
+            why = f"has not answered for {STOPPED_SECONDS:g} s"
+        except (OSError, KeyError, AttributeError):  # the last two: the client gave up
+            why = "answers no longer"
+        raise RunError(f"the scheduler {self.scheduler} {why}; what was finished is kept")
 
     def kill(self, address: str) -> None:
         """Have the worker's nanny start it anew; without a nanny it is left to itself.
 
         That takes as long as its successor needs to stand: nobody waits for it here.
         """
-        restart = threading.Thread(target=self._restart, args=(address,), daemon=True)
-        restart.start()
-        self._restarts.append(restart)
+        self._restarts.add(asyncio.ensure_future(self._restart(address)))
 
-    def _restart(self, address: str) -> None:
-        with suppress(ValueError, OSError, TimeoutError, CancelledError):
-            self.client.restart_workers([address], timeout=RESTART_SECONDS, raise_for_error=False)
+    async def _restart(self, address: str) -> None:
+        with suppress(Exception):  # it has gone already, or its nanny, or the scheduler
+            restarting = self.client.restart_workers(
+                [address], timeout=RESTART_SECONDS, raise_for_error=False
+            )
+            await restarting
 
-    def memory(self, address: str) -> float:
-        """Resident memory of a worker as it told its scheduler last, bytes."""
-        worker = self._look().get(address, {})
-        return float(worker.get("metrics", {}).get("memory", 0.0))
+    def ask_for(self, workers: int) -> None:
+        """Let an adaptive cluster know how many workers would have something to do.
 
-    def close(self) -> None:
+        It counts tasks that wait; lots are sent to workers that are there. So some tasks wait
+        for a worker of a kind that there is none of.
+        """
+        count = WISHES * min(workers, ASKED_AT_MOST)
+        del self._wishes[count:]
+        for number in range(len(self._wishes), count):
+            key = f"{self.name}-wish-{number}"
+            wish = self.client.submit(str, key=key, resources={"demflow-wish": 1}, pure=False)
+            self._wishes.append(wish)
+
+    async def __aexit__(self, *error: object) -> None:
         """Leave the cluster as it was found, its workers ended that were told to."""
-        patience = time.monotonic() + RESTART_SECONDS
-        for restart in self._restarts:
-            restart.join(max(0.0, patience - time.monotonic()))
-        self.client.close(timeout=10)
+        self._wishes.clear()
+        if self._restarts:
+            await asyncio.wait(self._restarts, timeout=RESTART_SECONDS)
+        await self._hang_up()
         self._config.__exit__(None, None, None)
+
+
+def _check_address(scheduler: str) -> None:
+    """Raise SchedulerError for what cannot be the address of a scheduler."""
+    try:
+        scheme, rest = parse_address(scheduler, strict=True)
+        host, port = parse_host_port(rest)
+        if scheme in ("tcp", "tls", "ws", "wss", "ucx") and host and port:
+            return
+    except ValueError:
+        pass
+    raise SchedulerError(
+        f"no Dask scheduler answers at {scheduler or repr(scheduler)}, which is no address; "
+        "write it as tcp://HOST:PORT or tls://HOST:PORT"
+    )
 
 
 def _security(scheduler: str) -> Security:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import operator
 import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -9,7 +10,8 @@ from typing import Any
 
 from demflow.model.outcome import Status
 from demflow.sweep.errors import RunError
-from demflow.sweep.execution.schedule import Schedule, Tally
+from demflow.sweep.execution.limits import Verdict
+from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.execution.worker import Outcome
 from demflow.sweep.store.products import DamagedError, MissingError, Store
 from demflow.sweep.store.versions import machine
@@ -34,15 +36,7 @@ class Executed:
         """What this and another execution did together."""
         if other is None:
             return self
-        return Executed(
-            self.computed + other.computed,
-            self.failed + other.failed,
-            self.damaged + other.damaged,
-            self.deaths + other.deaths,
-            self.refused + other.refused,
-            self.seconds + other.seconds,
-            self.worked + other.worked,
-        )
+        return Executed(*map(operator.add, vars(self).values(), vars(other).values()))
 
 
 class Ledger:
@@ -51,7 +45,6 @@ class Ledger:
     def __init__(self, schedule: Schedule, store: Store, limits: Limits):
         self.schedule, self.plan, self.store = schedule, schedule.plan, store
         self.limits = limits
-        self.tally = Tally(self.plan, schedule.state)
         self.report = Executed()
         self._old: dict[int, tuple[int, int]] = {}  # products of earlier runs, to be made again
         self._losses: dict[int, int] = {}
@@ -72,7 +65,7 @@ class Ledger:
         try:
             self.store.accept(files)
         except DamagedError as error:
-            self._count_loss(outcomes[0].run, f"a product came damaged from a worker: {error}")
+            self.count_loss(outcomes[0].run, f"a product came damaged from a worker: {error}")
             return False
         return True
 
@@ -91,9 +84,8 @@ class Ledger:
         parents = [p for p in self.plan.runs[run].parents if p >= 0]
         parent = next(p for p in parents if self.plan.runs[p].id == identity)
         if self.schedule.is_done(parent):
-            self._count_loss(parent, message)
+            self.count_loss(parent, message)
             self.schedule.lost(parent)
-            self.tally.reopen(parent)
 
     def find_stored(self, run: int) -> None:
         """Count a run as done whose worker stored its product and died before it said so."""
@@ -105,11 +97,12 @@ class Ledger:
             seconds = self.store.meta(identity)["seconds"]
             self._done(run, seconds, self.store.path(identity).stat().st_size)
 
-    def convict(self, run: int, status: Status, message: str) -> None:
+    def convict(self, run: int, verdict: Verdict) -> None:
         """Fail a run that cannot speak for itself."""
-        stage = self.plan.stage_of(run)
-        meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
-        meta |= {"status": int(status), "message": message, "limits": asdict(self.limits)}
+        stage, limits = self.plan.stage_of(run), asdict(self.limits)
+        limits["memory"] = verdict.memory or limits["memory"]
+        meta: dict[str, Any] = {"stage": stage.name, "version": stage.version, "limits": limits}
+        meta |= {"status": int(verdict.status), "message": verdict.message}
         self.store.put_failure(self.plan.runs[run].id, meta)
         self._fail(run)
 
@@ -117,14 +110,12 @@ class Ledger:
         self.report.computed += 1
         self.report.worked += spent[0]
         self.schedule.done(run, *spent, here=here)
-        self.tally.finish(run, good=True)
 
     def _fail(self, run: int) -> None:
         self.report.failed += 1
-        for lost in self.schedule.failed(run):
-            self.tally.finish(lost, good=False)
+        self.schedule.failed(run)
 
-    def _count_loss(self, run: int, message: str) -> None:
+    def count_loss(self, run: int, message: str) -> None:
         """Note a product that has to be computed again. Raises RunError if it happens often."""
         self._losses[run] = self._losses.get(run, 0) + 1
         if self._losses[run] > LOST_PRODUCTS:

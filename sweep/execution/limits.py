@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container
+from collections.abc import Collection, Container, Mapping
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 from demflow.model.outcome import Status
 from demflow.sweep.execution.memory import machine_memory
@@ -11,7 +12,13 @@ from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.products import DamagedError, MissingError, Store
 from demflow.sweep.study.load import Limits
 
-Excess = tuple[Status, str]  # how a run ends that takes too much, and why
+
+class Verdict(NamedTuple):
+    """How a run ends that took too much, and why."""
+
+    status: Status
+    message: str
+    memory: float | None = None  # bytes that bounded it
 
 
 SHARED = 0.9  # of the machine's memory, among its workers; the rest is for the run and others
@@ -39,32 +46,48 @@ class Judge:
         self.plan, self.store, self.limits = plan, store, limits
         self._seconds: dict[int, float] = {}  # what runs took, as far as that was asked for
 
+    def memory(self, worker: Mapping[str, Any]) -> float | None:
+        """Bytes that a worker may come to, None: no limit. `worker` as its scheduler knows it."""
+        bounds = [self.limits.memory, worker.get("memory_limit")]
+        return min((bound for bound in bounds if bound), default=None)
+
     def before(self, runs: Collection[int]) -> float:
         """What the earlier stages of these runs took, those of the hardest case, s."""
         if self.limits.time is None:
             return 0.0
         return max(self._seconds_before(run, runs) for run in runs)
 
-    def of_time(self, before: float, seconds: float) -> Excess | None:
+    def of_time(self, before: float, seconds: float) -> Verdict | None:
         """Whether runs take too long that are not done after so many seconds."""
         limit = self.limits.time
         if limit is None or before + seconds <= limit:
             return None
         earlier = f", {before:.3g} s of them in earlier stages" if before > 0.01 else ""
-        return Status.TIMED_OUT, (
+        return Verdict(
+            Status.TIMED_OUT,
             f"not done after {limit:g} s{earlier}, the study's limits.time; "
-            "raise it, or make the case smaller"
+            "raise it, or make the case smaller",
         )
 
-    def of_memory(self, held: float) -> Excess | None:
-        """Whether a worker of so many bytes holds too many."""
-        limit = self.limits.memory
-        if limit is None or held <= limit:
-            return None
-        return Status.OUT_OF_MEMORY, (
-            f"more than {limit / 1e9:.3g} GB, the study's limits.memory or, without one, a "
-            "worker's share of this machine; raise it, use fewer workers, or make the case smaller"
-        )
+    def of_memory(self, worker: Mapping[str, Any]) -> Verdict | None:
+        """Whether a worker holds too much, by what it told its scheduler last."""
+        held, most = worker.get("metrics", {}).get("memory", 0.0), self.limits.memory
+        return None if most is None or held <= most else self.outgrown(worker)
+
+    def outgrown(self, worker: Mapping[str, Any]) -> Verdict:
+        """What is said of a run under which a worker came to hold more than it may."""
+        most, own = self.memory(worker) or 0.0, self.limits.memory
+        if most == own:
+            why = (
+                "the study's limits.memory or, without one, a worker's share of this machine; "
+                "raise it, use fewer workers, or make the case smaller"
+            )
+        else:
+            why = (
+                "all that a worker of this cluster may hold; start workers with a larger "
+                "--memory-limit, or make the case smaller"
+            )
+        return Verdict(Status.OUT_OF_MEMORY, f"more than {most / 1e9:.3g} GB, {why}", most)
 
     def _seconds_before(self, run: int, together: Container[int]) -> float:
         """What the runs that a run builds on took, other than those done together with it, s."""

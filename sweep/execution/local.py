@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+import asyncio
 import logging
+import math
 import os
 import signal
-import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any
 
 import dask
-import psutil
 from distributed import Client, LocalCluster
 from distributed.core import Status as ServerStatus
 
 from demflow.sweep.errors import RunError
+from demflow.sweep.execution.certificate import make_security
 from demflow.sweep.execution.pool import Pool
-from demflow.sweep.execution.signals import signals_kept_for_later
 
-START_ATTEMPTS = 6  # to start a first worker, should it be killed meanwhile
+START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, should it be killed meanwhile
 
 # One thread per worker, whatever library it comes from; set before the workers start.
 ONE_THREAD = {
@@ -33,53 +34,81 @@ ONE_THREAD = {
     )
 }
 
-# Dask watches itself: by default a thread in every process looks a hundred times a second at
-# what the others are doing. Nobody asks for that here, and it took 5 % of two cores. Nor is
-# there anything to move between workers: each is sent what it is to run.
-UNWATCHED = {
+SETTINGS: dict[str, Any] = {
+    # a death is ours to judge: Dask must neither retry nor blame, nor take a worker that is
+    # kept from answering by compiled code for a dead one
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-ttl": None,
+    # a nanny whose worker is being started anew must not be given up
+    "distributed.deploy.lost-worker-timeout": "1000 days",
+    "distributed.comm.timeouts.connect": "30s",
+    "distributed.worker.multiprocessing-method": "spawn",
+    "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+    # a worker is ended at its limit of memory, not before; nothing is moved to the disk
+    "distributed.worker.memory.target": False,
+    "distributed.worker.memory.spill": False,
+    "distributed.worker.memory.pause": False,
+    "distributed.worker.memory.terminate": 1.0,
+    # Dask watches itself: by default a thread in every process looks a hundred times a second
+    # at what the others are doing. Nobody asks for that here, and it took 5 % of two cores. Nor
+    # is there anything to move between workers, and no page that anyone on this machine may read.
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.scheduler.work-stealing": False,
     "distributed.scheduler.active-memory-manager.start": False,
+    **{f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker", "nanny")},
 }
 
 
 class LocalPool(Pool):
-    """Worker processes of this machine, listening on the loopback alone."""
+    """Worker processes of this machine, listening on the loopback, for holders of a key alone.
+
+    Parameters
+    ----------
+    workers : their number.
+    memory : bytes at which one is ended, None: no limit.
+    """
 
     shares_store = True
     patience = 60.0
+    look_every = 0.2
 
-    def __init__(self, workers: int):
+    def __init__(self, workers: int, memory: float | None = None):
+        super().__init__()
         self.parent: int | None = os.getpid()
-        self.workers = workers
+        self.workers, self.memory = workers, memory
         self._started = False  # whether a worker ever stood
+        self._begin = time.monotonic()
         self._failures = 0  # to start one, before that
-        self._config = dask.config.set(
-            {
-                # a death is ours to judge: Dask must neither retry nor blame
-                "distributed.scheduler.allowed-failures": 0,
-                "distributed.worker.multiprocessing-method": "spawn",
-                "distributed.nanny.pre-spawn-environ": ONE_THREAD,
-                "distributed.comm.timeouts.connect": "30s",
-                # a nanny whose worker is being started anew must not be given up
-                "distributed.deploy.lost-worker-timeout": "1000 days",
-                **UNWATCHED,
-            }
-        )
-        try:
-            with signals_kept_for_later():
-                self.cluster = _cluster()
-                self.client = Client(self.cluster, set_as_default=False)
-            self.cluster.scale(workers)
-        except BaseException:
-            self.close()
-            raise
+        self.cluster: Any = None
 
-    def addresses(self) -> set[str]:
+    async def __aenter__(self) -> LocalPool:
+        self._config = dask.config.set(SETTINGS)
+        try:
+            # other users of the machine may reach the ports, and nothing behind them
+            security = make_security()
+            self.cluster = await LocalCluster(
+                n_workers=0,
+                threads_per_worker=1,
+                processes=True,
+                host="127.0.0.1",
+                dashboard_address="127.0.0.1:0",
+                memory_limit=math.ceil(self.memory or 0),
+                security=security,
+                silence_logs=logging.CRITICAL,
+                asynchronous=True,
+            )
+            self.client = await Client(self.cluster, set_as_default=False, asynchronous=True)
+            self.cluster.scale(self.workers)
+        except BaseException:
+            await self.__aexit__()
+            raise
+        return self
+
+    async def look(self) -> Mapping[str, Mapping[str, Any]]:
         """Workers that are there. Raises RunError where none can be started."""
-        found = {a for nanny in self._nannies() if (a := nanny.worker_address) is not None}
+        found = self.cluster.scheduler.identity()["workers"]
         self._started = self._started or bool(found)
         self._replace_fallen()
         return found
@@ -94,7 +123,8 @@ class LocalPool(Pool):
         if not fallen:
             return
         self._failures += 1
-        if not self._started and self._failures >= START_ATTEMPTS:
+        tried = time.monotonic() - self._begin > START_SECONDS
+        if tried and not self._started and self._failures >= START_ATTEMPTS:
             raise RunError(
                 "the worker processes did not start; a script has to call sweep.run below "
                 "`if __name__ == '__main__':`"
@@ -105,79 +135,48 @@ class LocalPool(Pool):
             self.cluster.workers.pop(name, None)
         self.cluster.scale(self.workers)
 
-    def unfit(self, address: str) -> str | None:
-        """All are as they were started."""
-        return None
+    def ask_for(self, workers: int) -> None:
+        """They are as many as they were to be."""
 
     def kill(self, address: str) -> None:
         """End a worker process at once; its nanny starts another."""
         for nanny in self._nannies():
-            if nanny.worker_address == address and nanny.pid:
-                _kill(nanny.pid)
+            if nanny.worker_address == address:
+                _kill(nanny)
 
-    def memory(self, address: str) -> float:
-        """Resident memory of a worker process, bytes."""
-        for nanny in self._nannies():
-            if nanny.worker_address == address and nanny.pid:
-                with suppress(psutil.Error):
-                    return float(psutil.Process(nanny.pid).memory_info().rss)
-        return 0.0
-
-    def close(self) -> None:
-        """End all processes: those that are busy without waiting for their work."""
-        nannies = self._nannies() if hasattr(self, "cluster") else []
-        closing = threading.Thread(target=self._close_politely, daemon=True)
-        closing.start()
-        for patience in (1.0, 2.0, 4.0, 8.0):
-            closing.join(patience)
-            if not closing.is_alive():
-                break
-            # the nannies know by now that we are closing, and start no others
-            for nanny in nannies:
-                if nanny.pid:
-                    _kill(nanny.pid)
-        self._config.__exit__(None, None, None)
-
-    def _close_politely(self) -> None:
-        # an interrupted start may have left only the first of them
-        if hasattr(self, "client"):
-            self.client.close(timeout=5)
-        if hasattr(self, "cluster"):
-            self._end_workers()
-            self.cluster.close(timeout=20)
-
-    def _end_workers(self) -> None:
-        """End the workers without leave-taking, which costs each half a second of its processor.
+    async def __aexit__(self, *error: object) -> None:
+        """End all processes without leave-taking, which costs each half a second of its processor.
 
         What they did is stored.
         """
+        if hasattr(self, "client"):  # an interrupted start may have left only the cluster
+            await self._hang_up()
         for nanny in self._nannies():
-            if nanny.worker_address and nanny.pid:
+            if nanny.worker_address:
                 nanny.close_gracefully()  # no other worker follows
-                _kill(nanny.pid)
-        # a scheduler that has not seen them go would write to them
-        patience = time.monotonic() + 1.0
-        scheduler = self.cluster.scheduler
-        while scheduler and scheduler.workers and time.monotonic() < patience:
-            time.sleep(0.01)
+                _kill(nanny)
+        leaving = asyncio.ensure_future(self._leave())
+        for patience in (1.0, 2.0, 4.0, 8.0):
+            await asyncio.wait({leaving}, timeout=patience)
+            if leaving.done():
+                break
+            for nanny in self._nannies():  # they know by now that we leave, and start no others
+                _kill(nanny)
+        self._config.__exit__(None, None, None)
+
+    async def _leave(self) -> None:
+        if self.cluster:
+            # a scheduler that has not seen the workers go would write to them
+            patience = time.monotonic() + 1.0
+            while self.cluster.scheduler.workers and time.monotonic() < patience:
+                await asyncio.sleep(0.01)
+            await self.cluster.close(timeout=20)
 
     def _nannies(self) -> list[Any]:
-        return list(self.cluster.workers.values())
+        return list(self.cluster.workers.values()) if self.cluster else []
 
 
-def _cluster() -> LocalCluster:
-    """A scheduler on the loopback that has no workers yet."""
-    return LocalCluster(
-        n_workers=0,
-        threads_per_worker=1,
-        processes=True,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        memory_limit=0,  # watched here, so that it can be said who took it
-        silence_logs=logging.CRITICAL,
-    )
-
-
-def _kill(pid: int) -> None:
+def _kill(nanny: Any) -> None:
     with suppress(ProcessLookupError):
-        os.kill(pid, signal.SIGKILL)
+        if nanny.pid:
+            os.kill(nanny.pid, signal.SIGKILL)

@@ -1,38 +1,35 @@
 """The graph of stage runs on Dask workers: processes of one thread each.
 
-Dask starts the workers, carries small messages and notices deaths. What runs where and
-when is decided here (`sweep.execution.schedule`): each worker holds the job that it runs and, if
-that is short, one more, so that it is always known what a worker was at when it died,
-took too long or grew too large, and nobody else is blamed.
+Dask starts the workers, carries lots, answers and events, and notices deaths. What runs where
+and when is decided here and in `sweep.execution.schedule`. Each worker has a lane, a coroutine:
+it greets the worker, sends it one lot after the other, each when the one before is answered, and
+ends with it. So it is always known what a worker was at when it died, took too long or grew too
+large, and nobody else is blamed. All lanes live in the event loop of one thread.
 """
 
 from __future__ import annotations
 
+import asyncio
 import time
-import uuid
-from collections import deque
-from collections.abc import Callable
-from concurrent.futures import CancelledError
-from concurrent.futures import Future as Answer
+from collections.abc import Awaitable, Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
-from dataclasses import dataclass, field
-from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
-
-from distributed import Future, KilledWorker
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from demflow.model.outcome import Status
 from demflow.sweep.errors import RunError, SchedulerError
+from demflow.sweep.execution.blame import Blame
 from demflow.sweep.execution.cluster import RemotePool
-from demflow.sweep.execution.jobs import Jobs, ParentLostError
 from demflow.sweep.execution.ledger import Executed, Ledger
-from demflow.sweep.execution.limits import Excess, Judge
+from demflow.sweep.execution.limits import Judge, Verdict
 from demflow.sweep.execution.local import LocalPool
-from demflow.sweep.execution.pool import Pool, silent_loops
+from demflow.sweep.execution.lots import Lots, ParentLostError
+from demflow.sweep.execution.pool import NoAnswerError, Pool, silent_loops
 from demflow.sweep.execution.progress import Progress
-from demflow.sweep.execution.schedule import Bundle, Schedule
-from demflow.sweep.execution.signals import signals_noted, uninterrupted
-from demflow.sweep.execution.worker import COMPILING, Greeting, Outcome, introduce, run_job
+from demflow.sweep.execution.schedule import Schedule
+from demflow.sweep.execution.signals import kept_from_children, signals_noted
+from demflow.sweep.execution.worker import COMPILING, Outcome, introduce, run_lot
 from demflow.sweep.plan.graph import MODEL
 from demflow.sweep.store.products import Store
 from demflow.sweep.store.versions import agreed
@@ -41,14 +38,17 @@ from demflow.sweep.study.load import Limits
 if TYPE_CHECKING:
     from demflow.model.scene import Scene
 
-TICK = 0.2  # s between looks at times, memory and living workers
-WAITING_SECONDS = 2.0  # s without any worker before that is told
+T = TypeVar("T")
+
+TICK = 0.2  # s between words about the progress
+OUTGROWN = "worker-restart-memory"  # topic under which a nanny tells that it ends its worker
 UNFIT_SECONDS = 60.0  # s for which workers that cannot be used are all there are
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
 COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
 HEARD_SECONDS = 20.0  # s that the first stage run waits for other workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
-GREETINGS = 3  # workers that may fail to answer in one run
+GREETINGS = 3  # workers that may fail to answer, or be too small to do so, in one run
+STOPPED_SECONDS = 2.0  # s late for a look, from which on the whole run counts as having stood
 
 
 def execute(
@@ -87,304 +87,350 @@ def execute(
     ledger = Ledger(schedule, store, limits)
     if anew:
         ledger.note_old_products()
-    with silent_loops():
-        pool: Pool = RemotePool(scheduler) if scheduler else LocalPool(workers)
+    pool = RemotePool(scheduler) if scheduler is not None else LocalPool(workers, limits.memory)
+    judge = Judge(schedule.plan, store, limits)
+    lots = Lots(schedule.plan, store, scene_of, table, pool)
+    run = _Execution(ledger, lots, judge, pool, begin)
+    with silent_loops(), signals_noted() as noted, ThreadPoolExecutor(1, "execution") as thread:
+        with kept_from_children():
+            done: Future[None] = thread.submit(asyncio.run, run.go())
         try:
-            travel, judge = not pool.shares_store, Judge(schedule.plan, store, limits)
-            jobs = Jobs(schedule.plan, store, scene_of, table, limits.memory, travel)
-            _Execution(ledger, jobs, judge, pool, progress, begin).loop()
+            while wait([done], TICK).not_done and not noted:
+                if progress and run.state:
+                    progress(run.state)
         finally:
-            with uninterrupted():
-                pool.close()
+            while not done.done() and not run.stop():
+                time.sleep(0.01)  # it has not begun yet
+        with suppress(asyncio.CancelledError):
+            done.result()
+        if progress:
+            progress(run.now())
     ledger.report.seconds = time.monotonic() - begin
     return ledger.report
 
 
 @dataclass(eq=False)
-class _Flight:
-    """A bundle that is on its way on a worker, or the greeting that comes before all."""
-
-    bundle: Bundle | None  # None: the greeting
-    future: Future
-    begin: float  # when its worker came to it; later by what was compiled since
-    answer: Answer[Any] | None = None  # which is on its way from when the worker has ended it
-    before: float | None = None  # s that earlier stages took, once that was asked for
-
-
-@dataclass(eq=False)
 class _Worker:
-    """What is known of a worker, while its address is listed."""
+    """A worker that is listed, and what it is at."""
 
-    line: deque[_Flight] = field(default_factory=deque)  # in the order of its work
+    address: str
+    known: Mapping[str, Any]  # what the scheduler knows of it
+    end: asyncio.Future[Verdict | None]  # set when it is gone, be it with a verdict on its lot
+    lane: asyncio.Task[None] | None = None
+    ready: bool = False  # whether it has answered its greeting
     unfit: str | None = None  # why it is sent nothing
+    runs: tuple[int, ...] = ()  # its lot
+    begin: float = 0.0  # when it came to it; later by what was compiled since
+    before: float | None = None  # s that earlier stages took, once that was asked for
     compiling: float | None = None  # since when it compiles kernels
-    died: float | None = None  # when it did
 
-    @property
-    def at(self) -> _Flight | None:
-        """What it is at; what it has ended may still be on its way."""
-        return next((flight for flight in self.line if flight.answer is None), None)
-
-    @property
-    def greeted(self) -> bool:
-        """Whether it has not answered its greeting yet."""
-        return bool(self.line) and self.line[0].bundle is None
-
-    def soon_free(self, moment: float) -> bool:
-        """Whether it is at one job, of at most a moment's length, beside which another may wait."""
-        bundle = self.line[0].bundle if len(self.line) == 1 else None
-        if bundle is None or bundle.alone or bundle.seconds is None:
-            return False
-        return bundle.seconds <= moment
-
-    @property
-    def usable(self) -> bool:
-        """Whether it can be sent anything."""
-        return self.died is None and self.unfit is None
+    def gone(self, verdict: Verdict | None = None) -> None:
+        """It is no longer there."""
+        if not self.end.done():
+            self.end.set_result(verdict)
 
 
 class _Execution:
     """One pass over a schedule."""
 
-    def __init__(
-        self,
-        ledger: Ledger,
-        jobs: Jobs,
-        judge: Judge,
-        pool: Pool,
-        progress: Callable[[Progress], None] | None,
-        begin: float,
-    ):
+    def __init__(self, ledger: Ledger, lots: Lots, judge: Judge, pool: Pool, begin: float):
         self.ledger, self.schedule, self.report = ledger, ledger.schedule, ledger.report
-        self.jobs, self.judge, self.pool, self.progress = jobs, judge, pool, progress
+        self.lots, self.judge, self.pool, self.blame = lots, judge, pool, Blame()
         self.workers: dict[str, _Worker] = {}  # by address
-        self.silent = 0  # workers that never answered their greeting
-        self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
-        self.events: SimpleQueue[tuple[str, _Flight | float | None]] = SimpleQueue()
-        pool.listen(COMPILING, lambda worker, told: self.events.put((worker, told["seconds"])))
-        self.submitted = 0
+        self.buried: dict[str, float] = {}  # when the worker of an address died
+        self.silent = self.small = 0  # workers that never answered, or died of memory before
         self.started = False  # whether a stage run was handed out
-        self.begin, self.alive = begin, time.monotonic()
-        self.looked = self.alive
+        self.begin = self.alive = self.advanced = time.monotonic()
         self.watched = 0.0  # s for which all workers together have stood
         self.own = agreed()
         self.first: float | None = None  # when the first worker was met
+        self.state: Progress | None = None  # as of a moment ago
+        self.main: tuple[asyncio.AbstractEventLoop, asyncio.Task[None]] | None = None
 
-    def loop(self) -> None:
-        """Hand out, wait, take in, until nothing is left to do or a signal ends it."""
-        shown = 0.0
-        with signals_noted() as noted:
-            while self.schedule.pending and not noted:
-                self._hand_out()
-                with suppress(Empty):
-                    self._hear(*self.events.get(timeout=TICK))
-                    while True:
-                        self._hear(*self.events.get_nowait())
-                now = time.monotonic()
-                if now - self.looked > TICK:
-                    self._look()
-                if self.progress and now - shown > TICK:
-                    self._show()
-                    shown = now
-            self._show()
+    async def go(self) -> None:
+        """Hand out, wait, take in, until nothing is left to do."""
+        task = asyncio.current_task()
+        assert task is not None
+        self.main = asyncio.get_running_loop(), task
+        self.over: asyncio.Future[None] = self.main[0].create_future()
+        self.news = asyncio.Event()  # something has ended: there may be more to hand out
+        async with self.pool:
+            self.pool.listen(COMPILING, self._hear_of_compiling)
+            self.pool.listen(OUTGROWN, self._hear_of_memory)
+            self.pool.listen("all", self._hear_of_leaving)
+            tasks = [self._task(self._watch()), self._task(self._show())]
+            try:
+                await self.over
+            finally:
+                lanes = [worker.lane for worker in self.workers.values() if worker.lane]
+                for running in (*tasks, *lanes):
+                    running.cancel()
+                await asyncio.wait([*tasks, *lanes])
 
-    def _hand_out(self) -> None:
-        addresses, now = self.pool.addresses(), time.monotonic()
-        for address, worker in list(self.workers.items()):
-            forgiven = worker.died is not None and now - worker.died > DEAD_SECONDS
-            if forgiven or (address not in addresses and not worker.line):
-                del self.workers[address]
-                self.jobs.forget(address)
-        for address in sorted(addresses - self.workers.keys()):
-            self.workers[address] = _Worker()
-            if why := self.pool.unfit(address):
-                self._refuse(address, why)
-            else:
-                self._greet(address)
-        usable = {a: w for a, w in self.workers.items() if a in addresses and w.usable}
-        if usable:
-            self.alive = now
-            self.first = self.first or now
-        ready = {a: w for a, w in usable.items() if not w.greeted}
-        all_heard = len(ready) == len(usable) or now - (self.first or now) > HEARD_SECONDS
-        if not (self.started or all_heard):
-            return  # before the first stage run
-        # first whoever has nothing to do, then whoever soon will have nothing
-        for address in sorted(ready):
-            if not ready[address].line:
-                self._send_next(address, alone_possible=True)
-        for address in sorted(ready):
-            if ready[address].soon_free(self.schedule.bundle_seconds):
-                self._send_next(address, alone_possible=False)
-        if ready and not any(worker.line for worker in self.workers.values()):
-            raise RunError(f"{self.schedule.pending} stage runs wait for each other")
+    def stop(self) -> bool:
+        """From another thread: end all at once. Return whether it was running already."""
+        if self.main is not None:
+            with suppress(RuntimeError):  # it has just ended
+                self.main[0].call_soon_threadsafe(self.main[1].cancel)
+        return self.main is not None
 
-    def _greet(self, address: str) -> None:
-        """Have a new worker import the stages and say which versions it runs."""
-        greeting = Greeting(self.jobs.table, self.pool.parent)
-        self._submit(address, None, introduce, greeting)
+    def _task(self, what: Any) -> asyncio.Task[None]:
+        """Have something run beside, whose error is that of the whole run."""
+        task: asyncio.Task[None] = asyncio.ensure_future(what)
 
-    def _meet(self, address: str, found: dict[str, str]) -> None:
-        other = [name for name, own in self.own.items() if found.get(name) != own]
-        if other:
-            listed = ", ".join(f"{n} {found.get(n)} (here {self.own[n]})" for n in other)
-            self._refuse(address, f"the worker {address} has {listed}; give all the same versions")
+        def ended(task: asyncio.Task[None]) -> None:
+            if not task.cancelled() and (error := task.exception()) and not self.over.done():
+                self.over.set_exception(error)
 
-    def _refuse(self, address: str, why: str) -> None:
-        """Send nothing to a worker. Raises SchedulerError before the first stage run."""
+        task.add_done_callback(ended)
+        return task
+
+    async def _lane(self, worker: _Worker) -> None:
+        """All that one worker does, from its greeting to its end."""
+        try:
+            if await self._race(worker, self._greet(worker)):
+                while not self._all_heard():
+                    await self._race(worker, asyncio.sleep(TICK))
+                while not self.over.done():
+                    await self._next(worker)
+        except NoAnswerError:
+            self._bury(worker)
+
+    async def _race(self, worker: _Worker, what: Awaitable[T]) -> T:
+        """Wait for something unless the worker ends first. Raises NoAnswerError."""
+        task = asyncio.ensure_future(what)
+        try:
+            either: set[asyncio.Future[Any]] = {task, worker.end}
+            await asyncio.wait(either, return_when=asyncio.FIRST_COMPLETED)
+            if not task.done() or task.cancelled():
+                raise NoAnswerError(worker.address)
+            return task.result()
+        finally:
+            task.cancel()
+
+    async def _greet(self, worker: _Worker) -> bool:
+        """Have a new worker import the stages and say which versions it runs; whether it may."""
+        address, why = worker.address, _unfit(worker.address, worker.known)
+        if why is None:
+            greeting = self.pool.call(address, introduce, self.lots.table, self.pool.parent)
+            try:
+                found = await asyncio.wait_for(greeting, GREETING_SECONDS)
+                other = [name for name, own in self.own.items() if found.get(name) != own]
+                if other:
+                    told = ", ".join(f"{n} {found.get(n)} (here {self.own[n]})" for n in other)
+                    why = f"the worker {address} has {told}; give all the same versions"
+            except NoAnswerError:
+                raise
+            except TimeoutError:
+                self._give_up(worker)
+            except Exception as error:
+                cause = f"{type(error).__name__}: {error}"
+                why = f"the worker {address} cannot run demflow: {cause}"
+        if why is None:
+            worker.ready = True
+            self.first = self.first or time.monotonic()
+            return True
         if not self.started:
             raise SchedulerError(why)
-        self.workers[address].unfit = why
+        worker.unfit = why
         self.report.refused.append(why)
+        return False
 
-    def _send_next(self, address: str, *, alone_possible: bool) -> None:
-        while bundle := self.schedule.next_bundle(alone_possible):
-            try:
-                job = self.jobs.make(address, bundle.runs)
-            except ParentLostError as lost:
-                self.ledger.lost(lost.run, lost.identity, str(lost))
-                self.schedule.again(bundle.runs)
-                continue
-            self._submit(address, bundle, run_job, job)
+    def _give_up(self, worker: _Worker) -> None:
+        """End a worker that does not answer its greeting; its successor is greeted anew."""
+        self.silent += 1
+        if self.silent >= GREETINGS:
+            raise RunError(
+                f"{self.silent} workers did not answer within {GREETING_SECONDS:g} s; "
+                f"the last of them was {worker.address}"
+            )
+        self._end(worker, Verdict(Status.NOT_RUN, "it did not answer"))
+        raise NoAnswerError(worker.address)
+
+    def _end(self, worker: _Worker, verdict: Verdict) -> None:
+        """End a worker, unless it has ended by itself; its nanny starts another."""
+        if not worker.end.done():
+            self.pool.kill(worker.address)
+            worker.gone(verdict)
+
+    def _all_heard(self) -> bool:
+        """Whether the first stage run need not wait for other workers to answer."""
+        if not self.started:
+            waited = time.monotonic() - (self.first or 0.0) > HEARD_SECONDS
+            return waited or all(worker.ready for worker in self.workers.values())
+        return True
+
+    async def _next(self, worker: _Worker) -> None:
+        """Have a worker do the next lot."""
+        runs = self.schedule.next_lot()
+        if not runs:
+            if not any(other.runs for other in self.workers.values()):
+                raise RunError(f"{self.schedule.pending} stage runs wait for each other")
+            self.news.clear()
+            await self._race(worker, self.news.wait())
             return
-
-    def _submit(
-        self, address: str, bundle: Bundle | None, function: Callable[[Any], Any], argument: Any
-    ) -> None:
-        self.submitted += 1
-        if bundle is not None and not self.started:
+        worker.runs, worker.begin, worker.before = runs, time.monotonic(), None
+        if not self.started:
             self.started = True
-            self.schedule.costs.start = time.monotonic() - self.begin
-        future = self.pool.submit(address, function, argument, f"{self.name}-{self.submitted}")
-        flight = _Flight(bundle, future, time.monotonic())
-        self.workers[address].line.append(flight)
-        future.add_done_callback(lambda _: self.events.put((address, flight)))
+            self.schedule.costs.start = worker.begin - self.begin
+        try:
+            answer = await self._race(worker, self._do(worker))
+        except NoAnswerError:
+            # it may not have been noticed yet that it died; or it misses a parent that was sent
+            await asyncio.wait({worker.end}, timeout=2.0 * self.pool.look_every)
+            self._end(worker, Verdict(Status.NOT_RUN, "what was sent to it is gone"))
+            raise
+        except ParentLostError as lost:
+            self.ledger.lost(lost.run, lost.identity, str(lost))
+            answer = [Outcome(lost.run, Status.NOT_RUN)]
+        worker.runs = ()
+        self._settle(worker, runs, answer)
 
-    def _hear(self, address: str, event: _Flight | float | None) -> None:
-        """A flight ended, or a worker compiles kernels: None from now on, or so many seconds."""
-        worker = self.workers.get(address)
-        if worker is None:
-            return  # of others on the same cluster, or long dead
-        if isinstance(event, _Flight):
-            self._take_in(address, worker, event)
-        elif event is None:
-            worker.compiling = time.monotonic()
-        elif worker.compiling is not None:
-            worker.compiling = None
-            if worker.at is not None:
-                worker.at.begin += event
-
-    def _take_in(self, address: str, worker: _Worker, flight: _Flight) -> None:
-        if flight not in worker.line:
-            return  # it was settled when its worker died
-        if flight.future.status == "finished":
-            if flight.answer is None:
-                self._fetch(address, flight)
-                if worker.at is not None:
-                    worker.at.begin = time.monotonic()
-                return
-            try:
-                answer = flight.answer.result()
-            except (CancelledError, OSError):
-                if address in self.pool.addresses():
-                    self._fetch(address, flight)
-                    return
-            else:
-                worker.line.remove(flight)
-                if flight.bundle is not None:
-                    self._settle(address, flight.bundle, answer)
-                else:
-                    self._meet(address, answer)
-                return
-        error = None
-        if flight.future.status == "error":
-            error = flight.future.exception()
-        if error is None or isinstance(error, KilledWorker):
-            self._bury(address)
-        elif flight.bundle is None:
-            worker.line.remove(flight)
-            why = f"{type(error).__name__}: {error}"
-            self._refuse(address, f"the worker {address} cannot run demflow: {why}")
-        elif isinstance(error, OSError):
+    async def _do(self, worker: _Worker) -> list[Outcome]:
+        """Send a worker its lot; what it answers. Raises NoAnswerError, ParentLostError."""
+        room = self.judge.memory(worker.known)
+        lot = self.lots.make(worker.runs, room, worker.runs[0] in self.schedule.suspects)
+        files = await self.lots.files(worker.address, lot)
+        try:
+            return await self.pool.call(worker.address, run_lot, lot, files)
+        except NoAnswerError:
+            raise
+        except OSError as error:
             where = error.filename or self.ledger.store.root
             raise RunError(
                 f"{where}: {error.strerror or error}; what was finished is kept"
             ) from error
-        else:
-            raise RunError(f"a worker broke: {type(error).__name__}: {error}") from error
+        except Exception as error:
+            told = f"{type(error).__name__}: {error}".splitlines()[0]
+            raise RunError(f"the worker {worker.address} broke: {told}") from error
 
-    def _fetch(self, address: str, flight: _Flight) -> None:
-        """Have an answer brought here, which takes as long as it takes.
+    def _settle(self, worker: _Worker, runs: tuple[int, ...], answer: list[Outcome]) -> None:
+        """Enter what a worker has answered; what it left out of its lot waits again."""
+        if not isinstance(answer, list) or not all(
+            isinstance(outcome, Outcome) and outcome.run in runs for outcome in answer
+        ):
+            raise RunError(
+                f"the worker {worker.address} answered what no demflow answers "
+                f"({type(answer).__name__}); what was finished is kept"
+            )
+        if self.pool.shares_store or self.ledger.accept(answer):
+            for outcome in answer:
+                if outcome.status is not Status.NOT_RUN:
+                    self.ledger.enter(outcome)
+                elif outcome.lost and self.pool.shares_store:
+                    self.ledger.lost(outcome.run, outcome.lost, outcome.message)
+                elif outcome.lost:
+                    self.ledger.count_loss(outcome.run, outcome.message)
+                    self.lots.forget()
+        self.schedule.again(runs)
+        self._advance()
 
-        A worker gives it away itself, which it cannot while a stage keeps it from all else.
-        """
-        flight.answer = self.pool.fetch(flight.future)
-        flight.answer.add_done_callback(lambda _: self.events.put((address, flight)))
+    def _advance(self) -> None:
+        """Something has ended: say so to those who wait for it."""
+        self.advanced = time.monotonic()
+        self.news.set()
+        if not self.schedule.pending and not self.over.done():
+            self.over.set_result(None)
 
-    def _settle(self, address: str, bundle: Bundle, outcomes: list[Outcome]) -> None:
-        if not (self.pool.shares_store or self.ledger.accept(outcomes)):
-            self.jobs.forget(address)
-            outcomes = []  # computed again
-        for outcome in outcomes:
-            if outcome.lost is None:
-                self.ledger.enter(outcome)
-                if outcome.status is Status.DONE:
-                    self.jobs.made(address, outcome.run)
-            elif self.pool.shares_store:
-                self.ledger.lost(outcome.run, outcome.lost, outcome.message)
-            else:
-                self.jobs.send_whole(address, outcome.run, outcome.message)
-        self.schedule.again(bundle.runs)
-
-    def _bury(self, address: str, verdict: Excess | None = None, *, ours: bool = False) -> None:
+    def _bury(self, worker: _Worker) -> None:
         """A worker is dead, or is ended by us, be it with a verdict on what it was doing."""
-        worker, now = self.workers[address], time.monotonic()
-        seconds = now - worker.at.begin if worker.at else 0.0
-        self.workers[address] = _Worker(died=now)
-        self.jobs.forget(address)
+        now, verdict = time.monotonic(), worker.end.result() if worker.end.done() else None
+        del self.workers[worker.address]
+        self.buried[worker.address] = now
+        self.lots.forget()
         self.report.deaths += 1
-        # a worker that hangs may not have said that it is at the second of its bundles already
-        bundles = [flight.bundle for flight in worker.line if flight.bundle is not None]
-        handed = [run for bundle in bundles for run in bundle.runs]
-        for run in handed:
+        for run in worker.runs:
             self.ledger.find_stored(run)
-        runs = tuple(run for run in handed if not self.schedule.is_done(run))
-        bundle = Bundle(runs, any(bundle.alone for bundle in bundles), None)
-        if verdict and len(runs) == 1:
-            self.ledger.convict(runs[0], *verdict)
-        elif verdict or ours:
-            self.schedule.quarantine(runs)
-        elif (guilty := self.schedule.died(bundle, seconds, self.watched)) is not None:
-            self.ledger.convict(
-                guilty,
+        left = tuple(run for run in worker.runs if not self.schedule.is_done(run))
+        guilty = None
+        if verdict is None:
+            seconds = now - worker.begin
+            guilty = self.blame.died(left, seconds=seconds, watched=self.watched)
+            verdict = Verdict(
                 Status.WORKER_DIED,
                 "its worker process died, also with nothing else on it; "
                 "most often memory ran out: try fewer grains or fewer workers",
             )
-        for flight in worker.line:
-            flight.future.cancel()
-            if flight.answer is not None:
-                flight.answer.cancel()
+        elif verdict.status is not Status.NOT_RUN and len(worker.runs) == len(left) == 1:
+            # what lay in memory from before may have been too much: first it is tried without
+            afresh = left[0] in self.schedule.suspects
+            guilty = left[0] if afresh or verdict.status is Status.TIMED_OUT else None
+        if guilty is None:
+            self.schedule.suspect(left)
+        else:
+            self.ledger.convict(guilty, verdict)
+        self._advance()
 
-    def _look(self) -> None:
-        """End what takes too much, and find workers that went without a word."""
-        now = time.monotonic()
-        addresses = self.pool.addresses()
-        self.schedule.share_out(len(addresses), self.judge.limits.time)
-        self.watched += len(addresses) * (now - self.looked)
-        self.looked = now
-        for address, worker in list(self.workers.items()):
-            at = worker.at
-            if worker.line and address not in addresses:
-                self._bury(address)
-            elif at is None:
-                continue
-            elif at.bundle is None:
-                if now - at.begin > GREETING_SECONDS:
-                    self._give_up(address)
-            elif verdict := self._excess(address, worker, at, now):
-                self._bury(address, verdict)
-                self.pool.kill(address)
+    def _hear_of_compiling(self, told: Mapping[str, Any]) -> None:
+        """A worker compiles kernels: None from now on, or so many seconds."""
+        if worker := self.workers.get(told["worker"]):
+            if told["seconds"] is None:
+                worker.compiling = time.monotonic()
+            elif worker.compiling is not None:
+                worker.compiling = None
+                worker.begin += told["seconds"]
+
+    def _hear_of_leaving(self, told: Mapping[str, Any]) -> None:
+        """The scheduler has noticed that a worker is gone."""
+        if told["action"] == "remove-worker" and (worker := self.workers.get(told["worker"])):
+            worker.gone()
+
+    def _hear_of_memory(self, told: Mapping[str, Any]) -> None:
+        """A nanny ends a worker that holds more than it may."""
+        worker = self.workers.get(told["worker"])
+        if worker:
+            worker.gone(self.judge.outgrown(worker.known))
+        if worker is None or not worker.ready:
+            self.small += 1
+        if self.small >= GREETINGS and self.first is None and not self.over.done():
+            told_of = f"the worker {told['worker']}" if told["worker"] else "a worker"
+            self.over.set_exception(
+                RunError(
+                    f"workers are too small to import demflow: {told_of} was ended by its nanny "
+                    f"at {told['rss'] / 1e9:.2g} GB; raise --memory-limit"
+                )
+            )
+
+    async def _watch(self) -> None:
+        """Find workers that come and go, and end what takes too much."""
+        looked = time.monotonic()
+        while True:
+            listed = await self.pool.look()
+            now = time.monotonic()
+            late = now - looked - self.pool.look_every
+            self.watched += len(self.workers) * (now - looked)
+            looked = now
+            for address in self.workers.keys() | listed.keys():
+                self._look_at(address, listed.get(address), max(0.0, late), now)
+            self._look_at_all(now)
+            self.schedule.share_out(len(self.workers), self.judge.limits.time)
+            self.pool.ask_for(self.schedule.wanted())
+            await asyncio.sleep(self.pool.look_every)
+
+    def _look_at(
+        self, address: str, known: Mapping[str, Any] | None, late: float, now: float
+    ) -> None:
+        worker = self.workers.get(address)
+        if worker is None:
+            if known and now - self.buried.get(address, -DEAD_SECONDS) >= DEAD_SECONDS:
+                worker = _Worker(address, known, asyncio.get_running_loop().create_future())
+                self.workers[address] = worker
+                worker.lane = self._task(self._lane(worker))
+        elif known is None:
+            worker.gone()
+            if worker.unfit:
+                del self.workers[address]
+        else:
+            worker.known = known
+            if late > STOPPED_SECONDS:  # Ctrl-Z, or a machine that slept: no case's time
+                worker.begin += late
+            if worker.runs and (verdict := self._excess(worker, now)):
+                self._end(worker, verdict)
+
+    def _look_at_all(self, now: float) -> None:
+        """Raise RunError where there has been no worker that can be used for too long."""
+        if any(worker.unfit is None for worker in self.workers.values()):
+            self.alive = now
         unfit = [worker.unfit for worker in self.workers.values() if worker.unfit]
         if unfit and now - self.alive > UNFIT_SECONDS:
             told = "; ".join(unfit)
@@ -396,32 +442,48 @@ class _Execution:
                 "What was finished is kept"
             )
 
-    def _give_up(self, address: str) -> None:
-        """End a worker that does not answer its greeting; its successor is greeted anew."""
-        self._bury(address, ours=True)
-        self.pool.kill(address)
-        self.silent += 1
-        if self.silent >= GREETINGS:
-            raise RunError(
-                f"{self.silent} workers did not answer within {GREETING_SECONDS:g} s; "
-                f"the last of them was {address}"
-            )
-
-    def _excess(self, address: str, worker: _Worker, at: _Flight, now: float) -> Excess | None:
-        if at.before is None and at.bundle is not None:
-            at.before = self.judge.before(at.bundle.runs)
+    def _excess(self, worker: _Worker, now: float) -> Verdict | None:
+        if worker.before is None:
+            worker.before = self.judge.before(worker.runs)
         since = worker.compiling
         compiling = since is not None and now - since < COMPILING_SECONDS
-        if not compiling and (late := self.judge.of_time(at.before or 0.0, now - at.begin)):
+        if not compiling and (late := self.judge.of_time(worker.before, now - worker.begin)):
             return late
-        return self.judge.of_memory(self.pool.memory(address))
+        return self.judge.of_memory(worker.known)
 
-    def _show(self) -> None:
-        if self.progress:
-            workers = len(self.pool.addresses())
-            tally, left = self.ledger.tally, self.schedule.seconds_left(workers)
-            cases = len(self.ledger.plan.cases)
-            compiling = any(w.compiling is not None for w in self.workers.values())
-            without = time.monotonic() - self.alive
-            waiting = without if without > WAITING_SECONDS else 0.0
-            self.progress(Progress(cases, tally.done, tally.failed, left, compiling, waiting))
+    async def _show(self) -> None:
+        """Say now and then how far the run is."""
+        while True:
+            self.state = self.now()
+            await asyncio.sleep(TICK)
+
+    def now(self) -> Progress:
+        """How far the run is."""
+        now, workers = time.monotonic(), list(self.workers.values())
+        tally = self.schedule.tally()
+        return Progress(
+            len(self.ledger.plan.cases),
+            tally.done,
+            tally.failed,
+            self.schedule.seconds_left(len(workers)),
+            compiling=any(worker.compiling is not None for worker in workers),
+            waiting=now - self.alive,
+            still=now - self.advanced,
+            workers=sum(worker.ready for worker in workers),
+            deaths=self.report.deaths,
+        )
+
+
+def _unfit(address: str, known: Mapping[str, Any]) -> str | None:
+    """Why a worker must not be sent a lot: it has many threads, or nobody to end it."""
+    if (threads := known.get("nthreads", 1)) != 1:
+        return (
+            f"the worker {address} has {threads} threads; "
+            "start each with `dask worker --nthreads 1`, and more of them (--nworkers)"
+        )
+    if known.get("nanny") is None:
+        return (
+            f"the worker {address} has no nanny, which ends a case at its limits and starts "
+            "the next worker; leave out `--no-nanny`"
+        )
+    return None

@@ -1,7 +1,8 @@
-"""Where the jobs of a run go: worker processes of this machine, or a Dask cluster.
+"""Where the lots of a run go: worker processes of this machine, or a Dask cluster.
 
 `sweep.execution.loop` decides what runs where and when; a pool starts the workers or finds
-them, carries one job at a time to a worker of its choice, and ends it when told to.
+them, carries one lot at a time to a worker of its choice, and ends it when told to. All of it
+lives in the event loop of one thread.
 """
 
 from __future__ import annotations
@@ -9,15 +10,15 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import uuid
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future as Answer
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from typing import Any
 
-from distributed import Client, Future
+from distributed import Client, Future, KilledWorker
 
-FETCH_AGAIN_SECONDS = 0.2  # s before an answer that could not be had is asked for again
+CLOSING_SECONDS = 5.0  # s for a scheduler to take leave
 
 _LOOPS = (
     "asyncio",
@@ -43,68 +44,83 @@ def silent_loops() -> Iterator[None]:
             logger.setLevel(level)
 
 
+class NoAnswerError(Exception):
+    """A worker, or what was sent to it, is no longer there."""
+
+
 class Pool(ABC):
-    """Workers, wherever they are."""
+    """Workers, wherever they are; entered and left with `async with`."""
 
     client: Client
     shares_store: bool  # whether they see the client's store; products travel otherwise
     patience: float  # s without any worker before a run gives up
+    look_every: float  # s between two looks at the workers
     parent: int | None  # process with which they end; None: they were there before
 
-    @abstractmethod
-    def addresses(self) -> set[str]:
-        """Workers that are there. Raises RunError where none can be had."""
+    def __init__(self) -> None:
+        self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many
+        self._calls = 0
+        self._topics: set[str] = set()
 
     @abstractmethod
-    def unfit(self, address: str) -> str | None:
-        """Why a worker must not be sent a job, None where it may."""
+    async def __aenter__(self) -> Pool:
+        """Start or find the workers. Raises SchedulerError where there is no scheduler."""
+
+    @abstractmethod
+    async def __aexit__(self, *error: object) -> None:
+        """Leave no process and no connection behind."""
+
+    @abstractmethod
+    async def look(self) -> Mapping[str, Mapping[str, Any]]:
+        """What the scheduler knows of the workers that are there, by their addresses.
+
+        Raises RunError where none can be had.
+        """
 
     @abstractmethod
     def kill(self, address: str) -> None:
         """End a worker, whatever it is doing; another takes its place."""
 
     @abstractmethod
-    def memory(self, address: str) -> float:
-        """Resident memory of a worker in bytes, 0 where it cannot be seen."""
+    def ask_for(self, workers: int) -> None:
+        """Let it be known that so many workers would have something to do."""
 
-    @abstractmethod
-    def close(self) -> None:
-        """Leave no process and no connection behind."""
+    async def call(self, address: str, function: Callable[..., Any], *arguments: Any) -> Any:
+        """Have a worker call a function and return what that returns, or raise what it raises.
 
-    def submit(
-        self, address: str, function: Callable[[Any], Any], argument: Any, key: str
-    ) -> Future:
-        """Have a worker call a function."""
-        return self.client.submit(
+        Raises NoAnswerError where the worker or a file that was sent to it is gone.
+        """
+        self._calls += 1
+        future: Future = self.client.submit(
             function,
-            argument,
-            key=key,
+            *arguments,
+            key=f"{self.name}-{self._calls}",
             workers=[address],
             allow_other_workers=False,
             pure=False,
             retries=0,
         )
+        error = await future.exception()
+        if isinstance(error, KilledWorker) or future.cancelled():
+            raise NoAnswerError(address)
+        if error is not None:
+            raise error
+        scheduler: Any = self.client.scheduler
+        # not Dask's own `gather`, which joins requests: of two workers one may have stopped
+        with suppress(OSError):  # the scheduler is gone: whoever looks at it says so
+            told = await scheduler.gather(keys=[future.key])
+            if told["status"] == "OK":
+                return told["data"][future.key]
+        raise NoAnswerError(address)
 
-    def fetch(self, finished: Future) -> Answer[Any]:
-        """Have the answer of a call that has ended brought here, however long that takes.
+    def listen(self, topic: str, heard: Callable[[Mapping[str, Any]], None]) -> None:
+        """Have a function called with what workers and their nannies tell, `worker` the address."""
+        self.client.subscribe_topic(topic, lambda event: heard(event[1]))
+        self._topics.add(topic)
 
-        Each by itself: Dask's own `gather` joins requests, and the answer of a worker that
-        hangs in its next job would hold up those of others. The answer raises OSError where
-        the worker does not give it.
-        """
-        client: Any = self.client
-        bringing = _bring(client.scheduler, finished.key)
-        return asyncio.run_coroutine_threadsafe(bringing, client.loop.asyncio_loop)
-
-    def listen(self, topic: str, heard: Callable[[str, dict[str, Any]], None]) -> None:
-        """Have a function called with the address and words of workers that tell something."""
-        # the scheduler adds who said it
-        self.client.subscribe_topic(topic, lambda event: heard(event[1]["worker"], event[1]))
-
-
-async def _bring(scheduler: Any, key: Any) -> Any:
-    told = await scheduler.gather(keys=[key])
-    if told["status"] != "OK":
-        await asyncio.sleep(FETCH_AGAIN_SECONDS)
-        raise OSError(f"no worker gives {key}")
-    return told["data"][key]
+    async def _hang_up(self) -> None:
+        """Close the connection to the scheduler, if it is still there."""
+        with suppress(Exception):
+            for topic in self._topics:
+                self.client.unsubscribe_topic(topic)
+            await asyncio.wait_for(self.client.close(timeout=CLOSING_SECONDS), CLOSING_SECONDS)

@@ -7,6 +7,9 @@ import sys
 import time
 from typing import NamedTuple, TextIO
 
+WAITING_SECONDS = 2.0  # s without any worker before that is told
+STILL_SECONDS = 30.0  # s without progress before that is told
+
 
 class Progress(NamedTuple):
     """How far a run is, in cases."""
@@ -17,6 +20,9 @@ class Progress(NamedTuple):
     seconds_left: float | None  # None while nothing is known of the stages to come
     compiling: bool = False  # whether some worker compiles kernels
     waiting: float = 0.0  # s since there was a worker; 0 while there is one
+    still: float = 0.0  # s since a stage run ended
+    workers: int = 0  # that can be used
+    deaths: int = 0  # of workers
 
     @property
     def left(self) -> int:
@@ -73,13 +79,20 @@ def line(progress: Progress) -> str:
     )
     if not progress.left:
         return told
-    if progress.waiting:
-        return f"{told}, no worker for {duration(progress.waiting)}: waiting"
-    if progress.compiling:
-        return f"{told}, compiling: once on this machine"
-    if progress.seconds_left is None:
-        return f"{told}, time to go unknown yet"
-    return f"{told}, {_span(progress.seconds_left)} to go"
+    if progress.waiting > WAITING_SECONDS:
+        told += f", no worker for {duration(progress.waiting)}: waiting"
+    elif progress.compiling:
+        told += ", compiling: once on this machine"
+    elif progress.seconds_left is None:
+        told += ", time to go unknown yet"
+    else:
+        told += f", {_span(progress.seconds_left)} to go"
+    if progress.still > STILL_SECONDS:
+        ended = f", {progress.deaths} have died" if progress.deaths else ""
+        told += (
+            f" (last progress {duration(progress.still)} ago; workers: {progress.workers}{ended})"
+        )
+    return told
 
 
 def _span(seconds: float) -> str:

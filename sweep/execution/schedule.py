@@ -2,9 +2,10 @@
 
 A stage run becomes ready when its parents are stored. The queue is ordered by the first
 case that wants a run, so that cases finish early, one after the other, instead of all at
-the end. Short runs are handed out in bundles, since a message to a worker and back costs
-as much as they do: long bundles while much is left, short ones at the end, when a worker
-that is done early would wait for the others.
+the end. Short runs are handed out in lots, since a message to a worker and back costs
+as much as they do: long lots while much is left, short ones at the end, when a worker
+that is done early would wait for the others. A worker has one lot at a time, so that it is
+known what it was at when it died.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.sweep.execution.blame import Blame
 from demflow.sweep.plan.graph import CostClass, Plan
 from demflow.sweep.store.costs import Costs
 
-BUNDLE_SECONDS = 0.15  # a bundle of short runs lasts at least about this long
+LOT_SECONDS = 0.15  # a lot of short runs lasts at least about this long
 LONGEST_SECONDS = 2.0  # and at most so long, while much is left
-SHARES = 8  # bundles that what is left for a worker makes between these two
-BUNDLE_LENGTH = 64  # and holds no more runs than this
+SHARES = 8  # lots that what is left for a worker makes between these two
+WORTH_SECONDS = 5.0  # of work for which one more worker is worth while
+LOT_LENGTH = 256  # and holds no more runs than this
 
 
 class State(IntEnum):
@@ -37,12 +38,12 @@ class State(IntEnum):
     BLOCKED = 5  # a run that it needs has failed
 
 
-class Bundle(NamedTuple):
-    """Runs that one worker does in turn."""
+class Tally(NamedTuple):
+    """Numbers of cases: all is stored, something has failed, and neither."""
 
-    runs: tuple[int, ...]
-    alone: bool  # nothing else may wait on the worker
-    seconds: float | None  # expected, None where the stage was not measured yet
+    done: int
+    failed: int
+    left: int
 
 
 class Schedule:
@@ -64,17 +65,15 @@ class Schedule:
         self.state = np.full(len(plan.runs), State.WAITING, dtype=np.int8)
         self.state[stored] = State.DONE
         self.state[failed & ~stored] = State.FAILED
-        self.suspects: set[int] = set()
-        self.blame = Blame()
-        self.bundle_seconds = BUNDLE_SECONDS
+        self.suspects: set[int] = set()  # of which one may have ended its worker
+        self.lot_seconds = LOT_SECONDS
         number: dict[CostClass, int] = {}
         self._kind = np.array(
             [number.setdefault(run.kind, len(number)) for run in plan.runs], dtype=np.int32
         )
         self._kinds = tuple(number)
         self._measured = Costs()  # in this run: what is expected of the next one
-        self._ready: list[tuple[int, int]] = []  # heap of (first case, run)
-        self._alone: list[int] = []  # heap of suspects that are ready
+        self._ready: list[tuple[int, int]] = []  # heap of (first case, −1 of a suspect; run)
         self._children: dict[int, list[int]] = {}
         left = plan.to_run(stored, failed)
         self.state[(self.state == State.WAITING) & ~left] = State.BLOCKED
@@ -95,36 +94,38 @@ class Schedule:
         """Number of runs that are still to be done."""
         return int(np.count_nonzero(self.state <= State.RUNNING))
 
+    def wanted(self) -> int:
+        """Number of workers that would have something to do, each for some seconds."""
+        at_hand = np.isin(self.state, (State.READY, State.RUNNING))
+        left = self.seconds_left(1)
+        enough = np.inf if left is None else np.ceil(left / WORTH_SECONDS)
+        return int(min(np.count_nonzero(at_hand), enough))
+
     def is_done(self, run: int) -> bool:
         """Whether a run has its product."""
         return bool(self.state[run] == State.DONE)
 
-    def next_bundle(self, alone_possible: bool = True) -> Bundle | None:
-        """Hand out the next runs, None where none is ready.
+    def next_lot(self) -> tuple[int, ...]:
+        """Hand out the next runs, for one worker to do in turn; none where none is ready.
 
-        A suspect, whose worker died, goes alone and before others, so that its verdict
-        comes early; it waits while no worker is free of other work.
+        A suspect goes by itself and before others, so that its verdict comes early.
         """
-        while self._alone and alone_possible:
-            run = heapq.heappop(self._alone)
-            if self.state[run] == State.READY:
-                self.state[run] = State.RUNNING
-                return Bundle((run,), True, None)
         runs: list[int] = []
-        chain: list[tuple[int, int]] = []  # children that this bundle itself makes ready
+        chain: list[tuple[int, int]] = []  # children that this lot itself makes ready
         seconds: float | None = 0.0
-        while len(runs) < BUNDLE_LENGTH and seconds is not None and seconds < self.bundle_seconds:
+        while len(runs) < LOT_LENGTH and seconds is not None and seconds < self.lot_seconds:
             heap, wanted = (chain, State.WAITING) if chain else (self._ready, State.READY)
             if not heap:
                 break
-            run = heapq.heappop(heap)[1]
-            if self.state[run] != wanted or run in self.suspects:
+            place, run = heapq.heappop(heap)
+            if self.state[run] != wanted:
                 continue
-            expected = self._measured.seconds(self.plan.runs[run].kind)
-            if runs and (expected is None or seconds + expected > self.bundle_seconds):
+            kind = self.plan.runs[run].kind
+            expected = None if run in self.suspects else self._measured.seconds(kind)
+            if runs and (expected is None or seconds + expected > self.lot_seconds):
                 if heap is chain:
                     continue  # it becomes ready in its own right once this one is done
-                heapq.heappush(heap, (self.plan.runs[run].case, run))
+                heapq.heappush(heap, (place, run))
                 break
             self.state[run] = State.RUNNING
             runs.append(run)
@@ -132,7 +133,7 @@ class Schedule:
             for child in self._children.get(run, ()):
                 if self.state[child] == State.WAITING and self._parents_in(child, runs):
                     heapq.heappush(chain, (self.plan.runs[child].case, child))
-        return Bundle(tuple(runs), False, seconds) if runs else None
+        return tuple(runs)
 
     def done(
         self,
@@ -154,17 +155,15 @@ class Schedule:
                 costs.add(self.plan.runs[run].kind, seconds, stored, memory, compiled)
         self._settle(self._children.get(run, ()))
 
-    def failed(self, run: int) -> list[int]:
-        """A run has failed; return it and its descendants, which cannot run now."""
+    def failed(self, run: int) -> None:
+        """A run has failed, and its descendants cannot run now."""
         self.state[run] = State.FAILED
-        lost, stack = [run], [run]
+        stack = [run]
         while stack:
             for child in self._children.get(stack.pop(), ()):
-                if self.state[child] not in (State.BLOCKED, State.FAILED, State.DONE):
+                if self.state[child] < State.DONE:
                     self.state[child] = State.BLOCKED
-                    lost.append(child)
                     stack.append(child)
-        return lost
 
     def again(self, runs: Iterable[int]) -> None:
         """Runs that were handed out and came to nothing through no fault of theirs."""
@@ -189,25 +188,11 @@ class Schedule:
                     self.state[child] = State.WAITING
         self._settle([run])
 
-    def died(self, bundle: Bundle, seconds: float = 0.0, watched: float = 0.0) -> int | None:
-        """The worker died under a bundle. Return the run to blame, None while it is unknown.
-
-        Its runs are retried, each alone on a worker; `Blame` says what the numbers are.
-        """
-        runs = self._at_work(bundle.runs)
-        guilty = self.blame.died(runs, alone=bundle.alone, seconds=seconds, watched=watched)
-        if guilty is None:
-            self.quarantine(runs)
-        return guilty
-
-    def quarantine(self, runs: Iterable[int]) -> None:
-        """Retry runs of which one is suspect, each alone on a worker."""
-        runs = self._at_work(runs)
+    def suspect(self, runs: Iterable[int]) -> None:
+        """Try runs again of which one may have ended its worker, each by itself."""
+        runs = [run for run in runs if self.state[run] == State.RUNNING]
         self.suspects.update(runs)
         self.again(runs)
-
-    def _at_work(self, runs: Iterable[int]) -> list[int]:
-        return [run for run in runs if self.state[run] == State.RUNNING]
 
     def seconds_left(self, workers: int) -> float | None:
         """Expected seconds until all is done, None where a stage was never measured."""
@@ -223,68 +208,34 @@ class Schedule:
         return total / max(workers, 1)
 
     def share_out(self, workers: int, limit: float | None = None) -> None:
-        """Let bundles last as what is left for so many workers asks for.
+        """Let lots last as what is left for so many workers asks for.
 
         They stay well below the time limit of a case, s, so as not to be taken for one.
         """
         left = self.seconds_left(workers)
-        share = max(BUNDLE_SECONDS, 0.0 if left is None else left / SHARES)
+        share = max(LOT_SECONDS, 0.0 if left is None else left / SHARES)
         longest = LONGEST_SECONDS if limit is None else min(LONGEST_SECONDS, limit / SHARES)
-        self.bundle_seconds = min(share, longest)
+        self.lot_seconds = min(share, longest)
+
+    def tally(self) -> Tally:
+        """How many cases are done, failed and left."""
+        states = np.where(self.plan.cases >= 0, self.state[self.plan.cases], State.DONE)
+        bad: np.ndarray = np.any(states >= State.FAILED, axis=1)
+        bad[list(self.plan.impossible)] = True
+        left: np.ndarray = np.any(states <= State.RUNNING, axis=1) & ~bad
+        failed, waiting = int(np.count_nonzero(bad)), int(np.count_nonzero(left))
+        return Tally(len(bad) - failed - waiting, failed, waiting)
 
     def _settle(self, runs: Iterable[int]) -> None:
         """Make ready what has all its parents."""
         for run in runs:
             if self.state[run] == State.WAITING and self._parents_in(run, ()):
                 self.state[run] = State.READY
-                if run in self.suspects:
-                    heapq.heappush(self._alone, run)
-                else:
-                    heapq.heappush(self._ready, (self.plan.runs[run].case, run))
+                place = -1 if run in self.suspects else self.plan.runs[run].case
+                heapq.heappush(self._ready, (place, run))
 
-    def _parents_in(self, run: int, bundle: Iterable[int]) -> bool:
-        """Whether every parent of a run is stored or computed in the same bundle."""
+    def _parents_in(self, run: int, lot: Iterable[int]) -> bool:
+        """Whether every parent of a run is stored or computed in the same lot."""
         return all(
-            p < 0 or self.state[p] == State.DONE or p in bundle for p in self.plan.runs[run].parents
+            p < 0 or self.state[p] == State.DONE or p in lot for p in self.plan.runs[run].parents
         )
-
-
-class Tally:
-    """Counts of cases that are done, failed and left, kept while runs finish."""
-
-    def __init__(self, plan: Plan, state: np.ndarray):
-        flat = plan.cases.ravel()
-        order = np.argsort(flat, kind="stable").astype(np.int32)
-        self._cases = order // plan.cases.shape[1]
-        self._start = np.searchsorted(flat[order], np.arange(len(plan.runs) + 1))
-        wanted = plan.cases >= 0
-        states = np.where(wanted, state[plan.cases], State.DONE)
-        self._open = np.count_nonzero(states <= State.RUNNING, axis=1)
-        self._bad = ((states == State.FAILED) | (states == State.BLOCKED)).any(axis=1)
-        self._bad[list(plan.impossible)] = True
-
-    def finish(self, run: int, good: bool) -> None:
-        """A run is over: stored, failed or blocked."""
-        cases = self._cases[self._start[run] : self._start[run + 1]]
-        self._open[cases] -= 1
-        if not good:
-            self._bad[cases] = True
-
-    def reopen(self, run: int) -> None:
-        """A run that counted as stored has to run again."""
-        self._open[self._cases[self._start[run] : self._start[run + 1]]] += 1
-
-    @property
-    def done(self) -> int:
-        """Cases of which every product is stored."""
-        return int(np.count_nonzero((self._open == 0) & ~self._bad))
-
-    @property
-    def failed(self) -> int:
-        """Cases of which a run has failed."""
-        return int(np.count_nonzero(self._bad))
-
-    @property
-    def left(self) -> int:
-        """Cases that are neither done nor failed."""
-        return int(np.count_nonzero((self._open > 0) & ~self._bad))

@@ -32,32 +32,16 @@ def signals_noted() -> Iterator[list[int]]:
 
 
 @contextmanager
-def signals_kept_for_later() -> Iterator[None]:
-    """Start processes that do not hear Ctrl-C, and hear it oneself only once they stand.
+def kept_from_children() -> Iterator[None]:
+    """Let threads that are started inside, and processes that they start, not hear Ctrl-C.
 
     A terminal sends it to every process in the foreground; it is for this one, which
-    then ends the others. Threads and processes started here inherit the mask, also those
-    that a nanny starts later.
+    then ends the others, also those that a nanny starts later.
     """
     # multiprocessing's tracker unblocks the signal in the thread that starts it: start it now
     resource_tracker.ensure_running()
-    with signals_noted():
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
-            yield
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-
-
-@contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Let no second Ctrl-C stop what cleans up after the first."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {s: signal.signal(s, signal.SIG_IGN) for s in (signal.SIGINT, signal.SIGTERM)}
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)

@@ -1,16 +1,15 @@
 """What happens inside a worker process: take the parents, run the stage, store the product.
 
-A job comes as plain data and the answer goes back as plain data of a few hundred bytes;
+A lot comes as plain data and the answer goes back as plain data of a few hundred bytes;
 products do not travel, they lie in the store. A worker elsewhere, which has no store, gets
-the parents' files with the job and gives its own files back with the answer: the same bytes
-that it would have stored. Whatever a stage does, the answer is an `Outcome`; only a store
-that cannot be written is an error of the whole run.
+the parents' files with the lot and gives its own files back with the answer: the same bytes
+that it would have stored. Whatever a stage does, the answer is an `Outcome`; only what fails
+around it, as a disk, is an error of the whole run.
 """
 
 from __future__ import annotations
 
 import ctypes
-import itertools
 import math
 import os
 import signal
@@ -18,9 +17,7 @@ import socket
 import sys
 import time
 import traceback
-from collections import OrderedDict
 from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -28,6 +25,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from distributed import get_worker
+from zict import LRU
 
 from demflow.model.compilation import compilation
 from demflow.model.memory import limited
@@ -67,15 +65,15 @@ class Task(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Job:
-    """Stage runs for one worker, in order."""
+class Lot:
+    """Stage runs for one worker, in order. No tuple: Dask would look for futures all through it."""
 
     store: str | None  # where the products lie; None: they travel
     table: str  # where the table of stages lies
     tasks: tuple[Task, ...]
-    files: Mapping[str, bytes] = field(default_factory=dict)  # of parents that travel, by identity
     memory: float | None = None  # bytes of resident memory that the worker may come to
     longest: float = math.inf  # s after which no further task is begun
+    afresh: bool = False  # whether nothing that lies in memory from before may count
 
 
 @dataclass(frozen=True)
@@ -94,23 +92,31 @@ class Outcome:
     file: bytes = field(default=b"", kw_only=True)  # what a worker without a store would store
 
 
-class Greeting(NamedTuple):
-    """The first words to a worker."""
+def introduce(table: str, parent: int | None) -> dict[str, str]:
+    """Import the stages, which is no stage's time, and return what this worker must agree in.
 
-    table: str  # where the table of stages lies
-    parent: int | None  # process that started the worker and ends with it; None: others did
-
-
-def introduce(greeting: Greeting) -> dict[str, str]:
-    """Import the stages, which is no stage's time, and return what this worker must agree in."""
-    if greeting.parent is not None:
-        _end_with(greeting.parent)
+    It ends with its parent, the process that started it, where one is named.
+    """
+    if parent is not None:
+        _end_with(parent)
         _go_first()
     worker = get_worker()
     compilation.listener = lambda seconds: worker.log_event(COMPILING, {"seconds": seconds})
-    for stage in stage_table(greeting.table):
+    worker.loop.add_callback(signal.signal, signal.SIGTSTP, _stand)  # in the main thread
+    for stage in stage_table(table):
         _ = stage.run
     return agreed()
+
+
+def _stand(*_: object) -> None:
+    """Do as Ctrl-Z asks, and leave the time until the run goes on out of that of a stage."""
+    global _stood
+    begin = time.perf_counter()
+    os.kill(os.getpid(), signal.SIGSTOP)
+    _stood += time.perf_counter() - begin
+
+
+_stood = 0.0  # s
 
 
 def _end_with(parent: int) -> None:
@@ -135,106 +141,86 @@ def _go_first() -> None:
         Path("/proc/self/oom_score_adj").write_text(OOM_SCORE)
 
 
-def run_job(job: Job) -> list[Outcome]:
-    """Run the tasks of a job in turn; return how each of them ended.
+def run_lot(lot: Lot, files: Mapping[str, bytes]) -> list[Outcome]:
+    """Run the tasks of a lot in turn; return how each of them ended.
 
-    A task whose parent failed in the same job is left out of the answer, and so are the rest
-    once the job has taken its longest: another worker may have nothing to do.
-    Raises OSError where the store cannot be written.
+    `files` are those of the parents where there is no store, by identity. A task whose parent
+    failed in the same lot is left out of the answer, and so are the rest once the lot has taken
+    its longest: another worker may have nothing to do.
+    Raises OSError where the store cannot be written, or a stage has met what is no fault of
+    its own: a full disk under the compiled kernels, a folder without locks.
     """
     begin = kept = time.monotonic()
-    stages = {stage.name: stage for stage in stage_table(job.table)}
-    held = _Held(job)
+    if lot.afresh:
+        _forget()
+    stages = {stage.name: stage for stage in stage_table(lot.table)}
+    made = _Made(lot.store, files)
     outcomes: list[Outcome] = []
     failed: set[str] = set()
-    for task in job.tasks:
-        if failed.intersection(filter(None, task.parents)):
-            failed.add(task.id)
-            continue
-        with limited(job.memory):
-            outcome = _run(task, stages, held, job.memory)
-        if outcome.status is not Status.DONE:
-            failed.add(task.id)
-        if held.store is None and task.id in held.made:
-            outcome = replace(outcome, file=held.made[task.id][1])
-        outcomes.append(outcome)
-        now = time.monotonic()
-        if now - kept > KEEP_SECONDS:
-            held.begin_to_keep()
-            kept = now
-        if now - begin > job.longest:
-            break
-    held.keep()
+    try:
+        for task in lot.tasks:
+            if failed.intersection(filter(None, task.parents)):
+                failed.add(task.id)
+                continue
+            with limited(lot.memory):
+                outcome = _run(task, stages, made, lot.memory)
+                if outcome.status is Status.OUT_OF_MEMORY and _forget():
+                    # what lay there from before is no part of this run
+                    outcome = _run(task, stages, made, lot.memory)
+            if outcome.status is not Status.DONE:
+                failed.add(task.id)
+            if made.store is None and task.id in made.files:
+                outcome = replace(outcome, file=made.files[task.id][1])
+            outcomes.append(outcome)
+            now = time.monotonic()
+            if now - kept > KEEP_SECONDS:
+                made.keep()
+                kept = now
+            if now - begin > lot.longest:
+                break
+    finally:
+        made.keep()
     return outcomes
 
 
-class _Held:
-    """What a job made so far, before the store or what came with the job.
+class _Made:
+    """What a lot has made so far, before the store or what came with the lot.
 
-    Parents that lie in memory when it begins stay at hand until it ends, though what it
-    loads and makes meanwhile may put them out there: its sender counts on them.
-
-    It is stored when the job ends, and every moment before that: one flush serves all that
+    It is stored when the lot ends, and every moment before that: one flush serves all that
     was made since the one before.
     """
 
-    def __init__(self, job: Job):
-        self.store = Store(Path(job.store)) if job.store is not None else None
-        self.files = job.files
-        parents = {identity for task in job.tasks for identity in task.parents if identity}
-        self.at_hand = {i: arrays for i in parents if (arrays := _memory.get(i)) is not None}
-        self.made: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity
-        self._begun = 0  # of them, so many are stored or on their way to the disk
-        self._writing: Future[None] | None = None
+    def __init__(self, store: str | None, parents: Mapping[str, bytes]):
+        self.store = Store(Path(store)) if store is not None else None
+        self.parents = parents
+        self.files: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity
+        self._kept: set[str] = set()
 
     def get(self, identity: str) -> Stored:
         """Return a product. Raises MissingError, DamagedError."""
-        if identity in self.made:
-            return unpack(self.made[identity][1])
         if identity in self.files:
-            return unpack(self.files[identity])
+            return unpack(self.files[identity][1])
+        if identity in self.parents:
+            return unpack(self.parents[identity])
         if self.store is None:
             raise MissingError(identity)
         return self.store.get(identity)
 
     def put(self, identity: str, arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> int:
-        """Take a product and return its size in bytes."""
-        self.made[identity] = ("product", pack(arrays, {**meta, "id": identity}))
-        return len(self.made[identity][1])
-
-    def put_failure(self, identity: str, meta: Mapping[str, Any]) -> None:
-        """Take the record of a failure."""
-        self.made[identity] = ("failed", pack({}, {**meta, "id": identity}))
-
-    def begin_to_keep(self) -> None:
-        """Store what was made since the last time; the disk takes its time beside the next run.
-
-        Raises OSError where what was begun before could not be stored.
-        """
-        if self.store is not None:
-            self._wait()
-            self._writing = _writer.submit(self.store.keep, self._fresh())
+        """Take a product, or the record of a failure; return its size in bytes."""
+        kind = "failed" if "status" in meta else "product"
+        self.files[identity] = (kind, pack(arrays, {**meta, "id": identity}))
+        return len(self.files[identity][1])
 
     def keep(self) -> None:
-        """Store all that was made. Raises OSError."""
-        if self.store is not None:
-            self._wait()
-            self.store.keep(self._fresh())
-
-    def _fresh(self) -> dict[str, tuple[str, bytes]]:
-        fresh = dict(itertools.islice(self.made.items(), self._begun, None))
-        self._begun = len(self.made)
-        return fresh
-
-    def _wait(self) -> None:
-        if self._writing is not None:
-            self._writing.result()
+        """Store what was made since the last time. Raises OSError."""
+        fresh = {i: file for i, file in self.files.items() if i not in self._kept}
+        if self.store is not None and fresh:
+            self.store.keep(fresh)
+            self._kept.update(fresh)
 
 
-_writer = ThreadPoolExecutor(1, "store")  # one file after the other
-
-
-def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | None) -> Outcome:
+def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | None) -> Outcome:
     stage = stages[task.stage]
     parents: list[Any] = []
     for name, identity in zip(stage.parents, task.parents, strict=True):
@@ -242,7 +228,7 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | No
             parents.append(None)
             continue
         try:
-            parents.append(build(stages[name].returns, _load(held, identity)))
+            parents.append(build(stages[name].returns, _load(made, identity)))
         except (MissingError, DamagedError) as error:
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
     begin, cpu = _working_time()
@@ -259,6 +245,8 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | No
     except (ModelError, SceneError) as error:
         status, message = Status.FAILED, str(error)
     except Exception as error:  # whatever a stage does must cost this run only
+        if surroundings := _surroundings(error):
+            raise surroundings from error
         status = Status.FAILED
         message = f"{type(error).__name__}: {error} ({_place(error)})"
         meta["traceback"] = traceback.format_exc()
@@ -282,10 +270,10 @@ def _run(task: Task, stages: Mapping[str, Stage], held: _Held, limit: float | No
     if status is Status.OUT_OF_MEMORY:
         meta |= _memory_there(limit)
     if status is not Status.DONE:
-        held.put_failure(task.id, {**meta, "status": int(status), "message": message})
+        made.put(task.id, {}, {**meta, "status": int(status), "message": message})
         return spent
-    size = held.put(task.id, arrays, meta)
-    _memory.put(task.id, arrays)
+    size = made.put(task.id, arrays, meta)
+    _memory[task.id] = arrays
     return replace(spent, stored=size)
 
 
@@ -300,54 +288,43 @@ def _memory_there(limit: float | None) -> dict[str, Any]:
 
 
 def _working_time() -> tuple[float, float]:
-    """Clocks of time and processor time, s, which stand still while kernels are compiled."""
+    """Clocks of time and processor time, s; both stand still while kernels are compiled."""
     return (
-        time.perf_counter() - compilation.seconds,
+        time.perf_counter() - compilation.seconds - _stood,
         time.process_time() - compilation.cpu_seconds,
     )
 
 
-class _Memory:
-    """The products that this process used last, up to a number of bytes."""
-
-    def __init__(self, limit: int):
-        self.limit = limit
-        self.size = 0
-        self.products: OrderedDict[str, Mapping[str, np.ndarray]] = OrderedDict()
-
-    def get(self, identity: str) -> Mapping[str, np.ndarray] | None:
-        """Return a product that is kept, None otherwise."""
-        if identity not in self.products:
-            return None
-        self.products.move_to_end(identity)
-        return self.products[identity]
-
-    def put(self, identity: str, arrays: Mapping[str, np.ndarray]) -> None:
-        """Keep a product, and drop those that were not used for longest."""
-        size = _bytes(arrays)
-        if identity in self.products or size > self.limit:
-            return
-        self.products[identity] = arrays
-        self.size += size
-        while self.size > self.limit:
-            self.size -= _bytes(self.products.popitem(last=False)[1])
+def _bytes(identity: str, arrays: Mapping[str, np.ndarray]) -> int:
+    return sum(array.nbytes for array in arrays.values())
 
 
-_memory = _Memory(CACHE_BYTES)
+# the products that this process used last
+_memory: LRU[str, Mapping[str, np.ndarray]] = LRU(CACHE_BYTES, {}, weight=_bytes)
 
 
-def _load(held: _Held, identity: str) -> Mapping[str, np.ndarray]:
-    arrays = held.at_hand.get(identity)
-    if arrays is None:
-        arrays = _memory.get(identity)
-    if arrays is None:
-        arrays = held.get(identity).arrays
-        _memory.put(identity, arrays)
+def _forget() -> bool:
+    """Give back the memory of products that are kept; return whether there were any."""
+    some = bool(_memory)
+    _memory.clear()
+    if sys.platform == "linux":
+        with suppress(AttributeError):  # another C library than that of GNU
+            ctypes.CDLL(None).malloc_trim(0)
+    return some
+
+
+def _load(made: _Made, identity: str) -> Mapping[str, np.ndarray]:
+    if identity in _memory:
+        return _memory[identity]
+    arrays = _memory[identity] = made.get(identity).arrays
     return arrays
 
 
-def _bytes(arrays: Mapping[str, np.ndarray]) -> int:
-    return sum(array.nbytes for array in arrays.values())
+def _surroundings(error: BaseException | None) -> OSError | None:
+    """What failed around a stage, which reads and writes no files of its own."""
+    while error is not None and not isinstance(error, OSError):
+        error = error.__cause__ or error.__context__
+    return error
 
 
 def _place(error: BaseException) -> str:

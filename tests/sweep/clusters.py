@@ -60,9 +60,12 @@ def certificate(folder: Path) -> Certificate:
 
 @contextmanager
 def dask_cluster(
-    folder: Path, workers: int = 2, certificate: Certificate | None = None
+    folder: Path,
+    workers: int = 2,
+    certificate: Certificate | None = None,
+    options: tuple[str, ...] = (),
 ) -> Iterator[Cluster]:
-    """Start `dask scheduler` and as many `dask worker`s, and end them all."""
+    """Start `dask scheduler` and as many `dask worker`s with some options, and end them all."""
     folder.mkdir()
     contact = folder / "contact.json"
     secured = () if certificate is None else certificate.options
@@ -71,7 +74,8 @@ def dask_cluster(
         main = stack.enter_context(
             _process(folder / "scheduler", *scheduler, "--scheduler-file", str(contact))
         )
-        worker = ("worker", *LOCAL, *secured, "--nthreads", "1", "--scheduler-file", str(contact))
+        worker = ("worker", *LOCAL, *secured, *options, "--nthreads", "1")
+        worker += ("--scheduler-file", str(contact))
         started = [
             stack.enter_context(_process(folder / f"worker-{k}", *worker)) for k in range(workers)
         ]

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import operator
 import os
+import re
+import signal
+import socket
 import threading
 import time
 from contextlib import ExitStack
 
 import psutil
 import pytest
+from distributed import LocalCluster
 
 from demflow.model.outcome import Status
+from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import RunError, SchedulerError
 from demflow.sweep.execution import worker
-from demflow.sweep.execution.worker import Job, Task, run_job
+from demflow.sweep.execution.worker import Lot, Task, run_lot
 from demflow.sweep.store.products import Store, pack, unpack
 from demflow.sweep.store.versions import agreed
 from tests.sweep import toy_stages, toys
@@ -209,10 +215,7 @@ def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(c
     assert (finished.failed, finished.cases) == (0, 5)
 
 
-def test_workers_that_come_late_are_waited_for_and_those_without_a_nanny_not_taken(
-    tmp_path, monkeypatch
-):
-    monkeypatch.setattr("demflow.sweep.execution.loop.WAITING_SECONDS", 0.3)
+def test_workers_that_come_late_are_waited_for_and_those_without_a_nanny_not_taken(tmp_path):
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
     seen = []
     with dask_cluster(tmp_path / "processes", workers=0) as cluster, ExitStack() as joined:
@@ -231,25 +234,123 @@ def test_workers_that_come_late_are_waited_for_and_those_without_a_nanny_not_tak
             toys.run(path, tmp_path / "none", scheduler=cluster.address)
 
 
-def test_no_scheduler_is_wrong_usage(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("demflow.sweep.execution.cluster.CONNECT_SECONDS", 0.5)
+def test_no_scheduler_is_wrong_usage(cluster, tmp_path, monkeypatch, capsys):
+    """Nothing there, no address, something that takes no questions, and a worker."""
+    monkeypatch.setattr("demflow.sweep.execution.cluster.CONNECT_SECONDS", 1.0)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     place = ("--results", str(tmp_path / "results"))
-    for address in ("tcp://127.0.0.1:1", "nonsense", "ftp://127.0.0.1:1"):
-        assert toys.demflow("run", str(path), *place, "--scheduler", address) == 2
-        assert f"no Dask scheduler answers at {address}" in capsys.readouterr().err
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        silent = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
+        log = cluster.folder / "worker-0" / "log"
+        while not (found := re.findall(r"Start worker at: +(\S+)", log.read_text())):
+            time.sleep(0.05)
+        worker = found[-1]
+        wrong = (
+            "tcp://127.0.0.1:1",
+            "foo",
+            "",
+            "ftp://127.0.0.1:1",
+            "tcp://nohost",
+            silent,
+            worker,
+        )
+        for address in wrong:
+            begin = time.monotonic()
+            assert toys.demflow("run", str(path), *place, "--scheduler", address) == 2
+            told = capsys.readouterr().err
+            assert f"no Dask scheduler answers at {address or repr(address)}" in told
+            assert len(told.strip().splitlines()) == 1
+            assert time.monotonic() - begin < 5.0
+    assert "it is a Worker" in told
 
 
-def test_a_worker_without_a_store_gives_back_the_file_it_would_store(monkeypatch):
-    monkeypatch.setattr(worker, "_memory", worker._Memory(worker.CACHE_BYTES))
+def test_a_case_that_outgrows_the_workers_of_a_cluster_says_what_it_needs(tmp_path):
+    """Dask's own limit of a worker, of which the study says nothing."""
+    rates = (1.0, toy_stages.GROWS, 2.0)
+    path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(), rates=rates)
+    options = ("--memory-limit", "300 MB")
+    with dask_cluster(tmp_path / "processes", options=options) as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    dataset = open_results(finished.folder)
+    ended = {1.0: Status.DONE, 2.0: Status.DONE, toy_stages.GROWS: Status.OUT_OF_MEMORY}
+    for rate, status in ended.items():
+        assert (dataset.status.sel(rate=rate) == status).all()
+    message = str(dataset.message.sel(rate=toy_stages.GROWS, seed=2).item())
+    assert "flow: more than 0.3 GB, all that a worker of this cluster may hold" in message
+    assert "--memory-limit" in message
+    assert finished.executed.deaths <= 2 * 2  # once in company of its past, once without
+
+
+def test_workers_too_small_to_import_anything_end_the_run_with_a_word(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+    options = ("--memory-limit", "60 MB")
+    with (
+        dask_cluster(tmp_path / "processes", workers=1, options=options) as cluster,
+        pytest.raises(RunError, match="too small to import demflow.*--memory-limit"),
+    ):
+        toys.run(path, tmp_path / "results", scheduler=cluster.address)
+
+
+@pytest.mark.parametrize("minimum", [0, 1])
+def test_an_adaptive_cluster_gets_its_workers(tmp_path, minimum):
+    path = toys.write_study(tmp_path, seeds=(1, 2, 3), stresses=(), rates=(1.0,), seconds=1.5)
+    most = []
+    with LocalCluster(
+        n_workers=0,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
+    ) as cluster:
+        cluster.adapt(minimum=minimum, maximum=3, interval="200ms")
+        finished = toys.run(
+            path,
+            tmp_path / "results",
+            scheduler=cluster.scheduler_address,
+            progress=lambda _: most.append(len(cluster.worker_spec)),
+        )
+    assert (finished.failed, finished.cases) == (0, 3)
+    assert max(most) == 3
+
+
+def test_a_worker_that_answers_something_else_ends_the_run_with_a_word(
+    cluster, tmp_path, monkeypatch
+):
+    monkeypatch.setattr("demflow.sweep.execution.loop.run_lot", operator.is_)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+    with pytest.raises(RunError, match=r"the worker \S+ answered what no demflow answers \(bool\)"):
+        toys.run(path, tmp_path / "results", scheduler=cluster.address)
+
+
+def test_a_scheduler_that_stands_still_is_told_and_ends_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr("demflow.sweep.execution.cluster.STOPPED_SECONDS", 2.0)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES, seconds=0.5)
+    seen = []
+    with dask_cluster(tmp_path / "processes", workers=1) as cluster:
+
+        def stop(progress) -> None:
+            seen.append(progress)
+            if products(tmp_path / "results"):
+                cluster.scheduler.send_signal(signal.SIGSTOP)
+
+        try:
+            with pytest.raises(RunError, match="has not answered for 2 s; what was finished"):
+                toys.run(path, tmp_path / "results", scheduler=cluster.address, progress=stop)
+        finally:
+            cluster.scheduler.send_signal(signal.SIGCONT)
+    assert seen[-1].still > 1.0
+
+
+def test_a_worker_without_a_store_gives_back_the_file_it_would_store():
+    worker._memory.clear()
     parent, own = "a" * 64, "b" * 64
     packed = toy_stages.pack(count=5, seed=1)
     flow = {"rate": 1.0, "viscosity": 0.0, "times": (1.0, 2.0)}
     task = Task(1, own, "flow", flow, (parent, None))
-    missing = run_job(Job(None, toys.TABLE, (task,)))[0]
+    missing = run_lot(Lot(None, toys.TABLE, (task,)), {})[0]
     assert (missing.lost, missing.file) == (parent, b"")
     file = pack(packed._asdict(), {"id": parent})
-    outcome = run_job(Job(None, toys.TABLE, (task,), {parent: file}))[0]
+    outcome = run_lot(Lot(None, toys.TABLE, (task,)), {parent: file})[0]
     assert outcome.status is Status.DONE
     arrays, meta = unpack(outcome.file)
     assert meta["id"] == own

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import signal
 import threading
 import time
 from contextlib import suppress
@@ -19,6 +20,7 @@ from demflow.model.quantities import SWEEP
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import RunError
 from tests.sweep import toy_stages, toys
+from tests.sweep.processes import products, start
 
 POISON = {
     toy_stages.RAISES: (Status.FAILED, "flow: the well is dry; try a smaller rate"),
@@ -72,11 +74,12 @@ def test_no_other_case_is_lost(poisoned):
 
 
 def variant(path, rates, limit="2 s"):
-    """The poisoned study with other rates and another limit, in a file of its own."""
-    folder = path.parent / f"variant {len(rates)} {limit}"
-    folder.mkdir(exist_ok=True)
+    """The poisoned study with other rates and another limit, under a name of its own."""
+    name = re.sub(r"\W", "", f"variant{len(rates)}{limit}")
     limits = f"{{time: {limit}}}"
-    return toys.write_study(folder, seeds=(1,), stresses=(), rates=rates, limits=limits)
+    return toys.write_study(
+        path.parent, name=name, seeds=(1,), stresses=(), rates=rates, limits=limits
+    )
 
 
 def test_a_failure_is_not_met_again_unless_asked_for(poisoned):
@@ -173,6 +176,26 @@ def test_a_case_that_hangs_in_compiled_code_behind_short_ones_is_the_one_to_blam
     assert (finished.cases, finished.failed) == (61, 1)
     assert dataset.status.sel(rate=toy_stages.HOLDS_ON) == Status.TIMED_OUT
     assert finished.executed.computed == 2 + 2 * 60
+
+
+def test_a_run_that_stood_still_charges_nobody_for_it(tmp_path):
+    """Ctrl-Z stops all of its processes; it goes on later."""
+    path = toys.write_study(
+        tmp_path, seeds=(1,), stresses=(), rates=(1.0, 2.0), seconds=1.0, limits="{time: 3 s}"
+    )
+    running = start(path, tmp_path / "results")
+    while not products(tmp_path / "results"):
+        time.sleep(0.02)
+    for process in running.workers():
+        process.send_signal(signal.SIGTSTP)
+    running.process.send_signal(signal.SIGSTOP)
+    time.sleep(4.0)
+    for process in running.all():
+        process.resume()
+    assert running.finish(60)[0] == 0
+    made = toys.prepared(path, tmp_path / "results")
+    times = [made.store.meta(run.id)["seconds"] for run in made.plan.runs]
+    assert max(times) < 3.0
 
 
 def processes() -> list[psutil.Process]:
@@ -296,9 +319,13 @@ def test_a_running_scheduler_can_be_used(tmp_path):
     assert (finished.cases, finished.failed) == (2, 1)
 
 
+async def nobody(pool: object) -> dict:
+    return {}
+
+
 def test_local_workers_that_never_stand_end_the_run_with_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setattr("demflow.sweep.execution.local.LocalPool.patience", 0.5)
-    monkeypatch.setattr("demflow.sweep.execution.local.LocalPool.addresses", lambda _: set())
+    monkeypatch.setattr("demflow.sweep.execution.local.LocalPool.look", nobody)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     with pytest.raises(RunError, match="try fewer workers"):
         toys.run(path, tmp_path / "results", workers=1)

@@ -7,12 +7,10 @@ import pytest
 
 from demflow.model.outcome import Status
 from demflow.sweep.errors import RunError
-from demflow.sweep.execution import worker
-from demflow.sweep.execution.jobs import LOST_AGAIN, Jobs, ParentLostError
 from demflow.sweep.execution.ledger import LOST_PRODUCTS, Ledger
-from demflow.sweep.execution.limits import Judge
+from demflow.sweep.execution.limits import Judge, Verdict
 from demflow.sweep.execution.schedule import Schedule
-from demflow.sweep.execution.worker import Outcome, run_job
+from demflow.sweep.execution.worker import Outcome
 from demflow.sweep.study.load import Limits
 from tests.sweep import toys
 from tests.sweep.stored import put
@@ -70,11 +68,15 @@ def test_what_a_dead_worker_stored_counts_but_not_what_lay_there_before(made):
 
 def test_a_conviction_is_recorded_with_its_limits_and_blocks_what_follows(made):
     ledger = ledger_of(made, Limits(time=2.0))
-    ledger.convict(1, Status.TIMED_OUT, "not done after 2 s")
+    ledger.convict(1, Verdict(Status.TIMED_OUT, "not done after 2 s"))
     record = made.store.failure(made.plan.runs[1].id)
     assert (record["status"], record["limits"]) == (2, {"time": 2.0, "memory": None})
     ledger.enter(Outcome(0, Status.DONE))
-    assert (ledger.schedule.pending, ledger.tally.failed, ledger.report.failed) == (0, 1, 1)
+    assert (ledger.schedule.pending, ledger.schedule.tally().failed, ledger.report.failed) == (
+        0,
+        1,
+        1,
+    )
 
 
 def test_what_a_worker_elsewhere_took_is_not_booked_here(made):
@@ -93,57 +95,20 @@ def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
     assert judge.before([2]) == 7.0
     assert judge.before([1, 2]) == 3.0  # run 1 takes its time together with run 2
     assert judge.of_time(7.0, 2.9) is None
-    status, why = judge.of_time(7.0, 3.1)
+    status, why, _ = judge.of_time(7.0, 3.1)
     assert (status, "7 s of them in earlier stages" in why) == (Status.TIMED_OUT, True)
     assert Judge(made.plan, made.store, UNLIMITED).of_time(7.0, 1e9) is None
 
 
-def test_what_a_worker_elsewhere_was_to_make_is_not_taken_as_there(made):
-    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
-    packing = made.plan.runs[0].id
-    assert list(jobs.make("a", (0, 1)).files) == []  # it makes the packing itself
-    store(made, 0)
-    assert list(jobs.make("a", (1,)).files) == [packing]  # the worker ended before that
-    jobs.made("b", 0)
-    assert list(jobs.make("b", (1,)).files) == []
-
-
-def test_parents_that_are_too_large_together_for_a_workers_memory_reach_it(made, monkeypatch):
-    for run in (0, 1):
-        run_job(
-            Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, False).make("", (run,))
-        )
-    packing = sum(array.nbytes for array in made.store.get(made.plan.runs[0].id).arrays.values())
-    monkeypatch.setattr(worker, "_memory", worker._Memory(packing + 8))
-    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
-    lost = []
-    for _ in range(4):
-        outcome = run_job(jobs.make("a", (2,)))[0]
-        if outcome.lost:
-            jobs.send_whole("a", 2, outcome.message)
-        lost.append(bool(outcome.lost))
-    assert lost == [False, True, False, False]
-
-
-def test_a_worker_that_loses_what_came_with_the_job_ends_the_run(made):
-    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
-    for _ in range(LOST_AGAIN):
-        jobs.send_whole("a", 2, "gone")
-    with pytest.raises(RunError, match="again and again, though it was sent: gone"):
-        jobs.send_whole("a", 2, "gone")
-
-
-def test_a_worker_elsewhere_is_sent_a_parent_once_and_again_when_it_lost_it(made):
-    store(made, 0)
-    jobs = Jobs(made.plan, made.store, made.scene_of, toys.TABLE, None, travel=True)
-    packing = made.plan.runs[0].id
-    assert list(jobs.make("a", (1,)).files) == [packing]
-    assert list(jobs.make("a", (1,)).files) == []
-    assert list(jobs.make("b", (1,)).files) == [packing]
-    jobs.send_whole("a", 1, "lost")
-    assert list(jobs.make("a", (1,)).files) == [packing]
-    jobs.forget("a")
-    made.store.path(packing).unlink()
-    with pytest.raises(ParentLostError) as lost:
-        jobs.make("a", (1,))
-    assert (lost.value.run, lost.value.identity) == (1, packing)
+def test_what_a_worker_may_hold_is_its_own_limit_or_the_study_s(made):
+    judge = Judge(made.plan, made.store, Limits(memory=3e9))
+    assert judge.memory({}) == 3e9
+    assert judge.memory({"memory_limit": 0}) == 3e9  # Dask's word for none
+    assert judge.memory({"memory_limit": 1e9}) == 1e9
+    assert Judge(made.plan, made.store, Limits()).memory({}) is None
+    small, large = {"memory_limit": 1e9}, {"metrics": {"memory": 3.1e9}}
+    assert judge.of_memory(small | {"metrics": {"memory": 2e9}}) is None  # its nanny's business
+    assert "limits.memory" in judge.of_memory(large).message
+    verdict = judge.outgrown(small)
+    assert (verdict.status, verdict.memory) == (Status.OUT_OF_MEMORY, 1e9)
+    assert verdict.message.startswith("more than 1 GB, all that a worker of this cluster may hold")

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
+import asyncio
 import time
 
 import psutil
 import pytest
+from distributed.core import rpc
+from distributed.security import Security
 
 from demflow.sweep.execution.local import LocalPool
 from demflow.sweep.execution.pool import silent_loops
-
-
-@pytest.fixture
-def pool():
-    with silent_loops():
-        pool = LocalPool(2)
-        yield pool
-        pool.close()
 
 
 def starting(known: set[int]) -> list[psutil.Process]:
@@ -31,14 +26,47 @@ def starting(known: set[int]) -> list[psutil.Process]:
     return found
 
 
-def test_workers_killed_while_they_start_are_replaced_each_time(pool):
+def test_workers_killed_while_they_start_are_replaced_each_time():
     killed: set[int] = set()
-    patience = time.monotonic() + 60.0
-    while len(pool.addresses()) < 2 and time.monotonic() < patience:
-        if len(killed) < 3:
-            for process in starting(killed)[:1]:
-                process.kill()
-                killed.add(process.pid)
-        time.sleep(0.02)
+
+    async def storm() -> int:
+        async with LocalPool(2) as pool:
+            patience = time.monotonic() + 60.0
+            while len(await pool.look()) < 2 and time.monotonic() < patience:
+                if len(killed) < 3:
+                    for process in starting(killed)[:1]:
+                        process.kill()
+                        killed.add(process.pid)
+                await asyncio.sleep(0.02)
+            return len(await pool.look())
+
+    with silent_loops():
+        assert asyncio.run(storm()) == 2
     assert len(killed) == 3
-    assert len(pool.addresses()) == 2
+
+
+@pytest.mark.parametrize("scheme", ["tcp", "tls"])
+def test_whoever_has_not_the_key_of_the_run_is_let_in_nowhere(scheme):
+    """Neither plainly nor with a certificate of their own: to the scheduler, nannies, workers."""
+    own = Security.temporary() if scheme == "tls" else Security()
+    arguments = own.get_connection_args("client")
+
+    async def reach(address: str) -> None:
+        asked = rpc(address.replace("tls", scheme), connection_args=arguments, timeout=1)
+        async with asked as there:
+            await there.identity()
+
+    async def attempts() -> None:
+        async with LocalPool(1) as pool:
+            while not (workers := await pool.look()):
+                await asyncio.sleep(0.05)
+            nannies = [nanny.address for nanny in pool.cluster.workers.values()]
+            for address in (pool.cluster.scheduler_address, *workers, *nannies):
+                with pytest.raises(
+                    OSError, match=r"[Tt]imed out|closed|handshake|certificate|established"
+                ):
+                    await reach(address)
+            assert await pool.call(next(iter(workers)), abs, -1) == 1
+
+    with silent_loops():
+        asyncio.run(attempts())

@@ -1,4 +1,4 @@
-"""The ready queue, without a worker: order, bundles, blame, and the count of cases."""
+"""The ready queue, without a worker: order, lots, suspects, and the count of cases."""
 
 from __future__ import annotations
 
@@ -7,14 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from demflow.sweep.execution.blame import ATTEMPTS_QUICK
 from demflow.sweep.execution.schedule import (
-    BUNDLE_SECONDS,
     LONGEST_SECONDS,
+    LOT_SECONDS,
     SHARES,
+    WORTH_SECONDS,
     Schedule,
     State,
-    Tally,
 )
 from demflow.sweep.plan.graph import CostClass, Plan, StageRun, stage_table
 from tests.sweep.toys import TABLE
@@ -46,58 +45,58 @@ def fresh(plan: Plan, stored=(), failed=()) -> Schedule:
 
 
 def drain(schedule: Schedule, seconds: float) -> list[tuple[int, ...]]:
-    """Run everything on one worker; the bundles in order."""
-    bundles = []
-    while bundle := schedule.next_bundle():
-        for run in bundle.runs:
+    """Run everything on one worker; the lots in order."""
+    lots = []
+    while lot := schedule.next_lot():
+        for run in lot:
             parents = schedule.plan.runs[run].parents
             assert all(p < 0 or schedule.is_done(p) for p in parents)
             schedule.done(run, seconds)
-        bundles.append(bundle.runs)
-    return bundles
+        lots.append(lot)
+    return lots
 
 
 def test_long_runs_go_one_by_one_and_cases_finish_in_order():
     schedule = fresh(tree(2, 2, 2))
-    bundles = drain(schedule, seconds=10.0)
-    assert all(len(bundle) == 1 for bundle in bundles)
-    assert [run for (run,) in bundles] == list(range(14))  # depth first
+    lots = drain(schedule, seconds=10.0)
+    assert all(len(lot) == 1 for lot in lots)
+    assert [run for (run,) in lots] == list(range(14))  # depth first
     assert schedule.pending == 0
 
 
-def test_short_runs_go_in_bundles_of_bounded_length():
+def test_short_runs_go_in_lots_of_bounded_length():
     schedule = fresh(tree(4, 10, 10))
-    bundles = drain(schedule, seconds=BUNDLE_SECONDS / 8)
-    assert sorted(run for bundle in bundles for run in bundle) == list(range(444))
-    assert max(map(len, bundles)) == 8
-    assert len(bundles) < 444 / 6
+    lots = drain(schedule, seconds=LOT_SECONDS / 8)
+    assert sorted(run for lot in lots for run in lot) == list(range(444))
+    assert max(map(len, lots)) == 8
+    assert len(lots) < 444 / 6
 
 
-def test_bundles_are_long_at_first_and_short_at_the_end():
+def test_lots_are_long_at_first_and_short_at_the_end():
     schedule = fresh(tree(100, 1, 1))
     schedule.share_out(2)
-    assert schedule.bundle_seconds == BUNDLE_SECONDS  # nothing is known yet
+    assert schedule.lot_seconds == LOT_SECONDS  # nothing is known yet
     each, lengths = LONGEST_SECONDS / 10, []
-    while bundle := schedule.next_bundle():
+    while lot := schedule.next_lot():
         left = each * (300 - sum(lengths)) / 2  # for each of two workers
-        assert len(bundle.runs) * each <= max(BUNDLE_SECONDS, left / SHARES) + each
-        lengths.append(len(bundle.runs))
-        for run in bundle.runs:
+        assert len(lot) * each <= max(LOT_SECONDS, left / SHARES) + each
+        lengths.append(len(lot))
+        for run in lot:
             schedule.done(run, each)
         schedule.share_out(2)
     assert sum(lengths) == 300
     assert (lengths[0], max(lengths), lengths[-1]) == (1, 10, 1)
 
 
-def test_bundles_are_no_longer_than_a_part_of_a_case_s_time_limit():
+def test_lots_are_no_longer_than_a_part_of_a_case_s_time_limit():
     schedule = fresh(tree(100, 1, 1))
-    while (bundle := schedule.next_bundle()) and bundle.seconds is None:
-        for run in bundle.runs:
+    for _ in STAGES:  # each is measured once
+        for run in schedule.next_lot():
             schedule.done(run, 0.1)
     schedule.share_out(2)
-    free = schedule.bundle_seconds
+    free = schedule.lot_seconds
     schedule.share_out(2, limit=4.0)
-    assert schedule.bundle_seconds == 4.0 / SHARES < free
+    assert schedule.lot_seconds == 4.0 / SHARES < free
 
 
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.data())
@@ -106,85 +105,90 @@ def test_whatever_happens_every_run_ends_once(packs, flows, observers, data):
     count = len(plan.runs)
     stored = data.draw(st.sets(st.integers(0, count - 1)))
     schedule = fresh(plan, stored)
-    tally = Tally(plan, schedule.state)
     poison = data.draw(st.sets(st.integers(0, count - 1), max_size=2)) - stored
     killer = data.draw(st.sets(st.integers(0, count - 1), max_size=2)) - stored - poison
     ended: list[int] = []
-
-    def end(runs: list[int], good: bool) -> None:
-        ended.extend(runs)
-        for run in runs:
-            tally.finish(run, good)
-
     for _ in range(100 * count):
         if not schedule.pending:
             break
-        bundle = schedule.next_bundle()
-        assert bundle is not None
-        for run in bundle.runs:
+        lot = schedule.next_lot()
+        assert lot
+        if schedule.suspects.intersection(lot):
+            assert len(lot) == 1
+        for run in lot:
             if schedule.state[run] != State.RUNNING:
                 continue  # a run before it has failed
             if run in killer:
-                if (guilty := schedule.died(bundle)) is not None:
-                    end(schedule.failed(guilty), good=False)
+                if len(lot) == 1:
+                    schedule.failed(run)
+                    ended.append(run)
+                else:
+                    schedule.suspect(lot)
                 break
             if run in poison:
-                end(schedule.failed(run), good=False)
+                schedule.failed(run)
             else:
                 schedule.done(run, data.draw(st.sampled_from([1e-3, 1.0])))
-                end([run], good=True)
-        schedule.again(bundle.runs)
+            ended.append(run)
+        schedule.again(lot)
     assert schedule.pending == 0
-    assert sorted(ended) == sorted(set(range(count)) - stored)
     state = schedule.state
+    blocked = {run for run in range(count) if state[run] == State.BLOCKED}
+    assert sorted([*ended, *blocked]) == sorted(set(range(count)) - stored)
     assert {r for r in range(count) if state[r] == State.FAILED} <= poison | killer
     for run, entry in enumerate(plan.runs):
         bad = any(p >= 0 and state[p] in (State.FAILED, State.BLOCKED) for p in entry.parents)
         assert (state[run] == State.BLOCKED) == (bad and run not in stored)
     good = np.count_nonzero((state[plan.cases] == State.DONE).all(axis=1))
-    assert (tally.done, tally.failed, tally.left) == (good, len(plan.cases) - good, 0)
+    assert schedule.tally() == (good, len(plan.cases) - good, 0)
 
 
-def test_a_death_is_blamed_on_a_run_only_when_it_was_alone():
-    schedule = fresh(tree(1, 1, 3), stored=(0, 1))
-    schedule.done(1, 1e-6)
-    first = schedule.next_bundle()
-    assert first.runs == (2,)
-    schedule.done(2, 1e-6)
-    company = schedule.next_bundle()
-    assert company.runs == (3, 4)
-    assert schedule.died(company) is None
-    assert schedule.next_bundle(alone_possible=False) is None
-    for _ in range(ATTEMPTS_QUICK):
-        alone = schedule.next_bundle()
-        assert alone.alone
-        assert alone.runs == (3,)
-        verdict = schedule.died(alone)
-    assert verdict == 3
-    schedule.failed(3)
-    assert schedule.next_bundle().runs == (4,)
+def test_suspects_go_by_themselves_and_before_all_others():
+    schedule = fresh(tree(1, 1, 4), stored=(0, 1))
+    schedule.done(schedule.next_lot()[0], 1e-6)
+    company = schedule.next_lot()
+    assert company == (3, 4, 5)
+    schedule.done(3, 1e-6)
+    schedule.suspect(company)
+    assert [schedule.next_lot() for _ in range(3)] == [(4,), (5,), ()]
+    schedule.failed(4)
+    schedule.again((4, 5))
+    assert [schedule.next_lot() for _ in range(2)] == [(5,), ()]
+
+
+def test_as_many_workers_are_wanted_as_have_something_to_do():
+    schedule = fresh(tree(2, 3, 1))
+    assert schedule.wanted() == 2  # nothing is known but that two packings are ready
+    for kind in KINDS:
+        schedule.costs.add(kind, WORTH_SECONDS, 100)
+    assert schedule.wanted() == 2
+    for _ in range(2):  # a packing and one of its flows
+        schedule.done(*schedule.next_lot(), WORTH_SECONDS)
+    assert schedule.wanted() == 4  # the other packing, two flows and an observer
+    while lot := schedule.next_lot():
+        for run in lot:
+            schedule.done(run, 1e-3)
+    assert schedule.wanted() == 0
 
 
 def test_a_lost_product_is_computed_again_before_its_children():
     schedule = fresh(tree(1, 2, 1), stored=(0,))
-    tally = Tally(schedule.plan, schedule.state)
-    child = schedule.next_bundle().runs
+    child = schedule.next_lot()
     schedule.lost(0)
-    tally.reopen(0)
     schedule.again(child)
-    assert schedule.next_bundle().runs == (0,)
-    assert schedule.next_bundle() is None
+    assert schedule.next_lot() == (0,)
+    assert schedule.next_lot() == ()
     schedule.done(0, 1.0)
     drain(schedule, 1.0)
     assert schedule.pending == 0
-    assert tally.left == 2
+    assert schedule.tally() == (2, 0, 0)
 
 
 def test_known_failures_block_their_descendants_at_once():
     schedule = fresh(tree(2, 1, 2), failed=(1,))
     assert [State(s).name for s in schedule.state[1:4]] == ["FAILED", "BLOCKED", "BLOCKED"]
-    assert Tally(schedule.plan, schedule.state).failed == 2
-    assert 1 not in {run for bundle in drain(schedule, 1.0) for run in bundle}
+    assert schedule.tally().failed == 2
+    assert 1 not in {run for lot in drain(schedule, 1.0) for run in lot}
 
 
 def test_time_left_follows_what_was_measured():

@@ -1,15 +1,18 @@
-"""Inside a worker: bundles, lost parents, the products kept in memory, the kernel cache."""
+"""Inside a worker: lots, lost parents, the products kept in memory, the kernel cache."""
 
 from __future__ import annotations
 
+import errno
 import os
+from typing import Any
 
 import numpy as np
 import pytest
 
 from demflow.model.outcome import Status
 from demflow.sweep.execution import worker
-from demflow.sweep.execution.worker import Job, Task, run_job
+from demflow.sweep.execution.memory import resident_memory
+from demflow.sweep.execution.worker import Lot, Task, run_lot
 from demflow.sweep.store.products import Store
 from demflow.sweep.store.products import pack as packed_file
 from tests.sweep import toy_stages, toys
@@ -18,8 +21,8 @@ IDS = {name: f"{k}{k}" + "0" * 62 for k, name in enumerate(("pack", "flow", "obs
 
 
 @pytest.fixture
-def store(tmp_path, monkeypatch):
-    monkeypatch.setattr(worker, "_memory", worker._Memory(worker.CACHE_BYTES))
+def store(tmp_path):
+    worker._memory.clear()
     return Store.open(tmp_path / "store")
 
 
@@ -37,11 +40,11 @@ def tasks(rate: float = 1.0, seconds: float = 0.0) -> tuple[Task, ...]:
     )
 
 
-def run(store: Store, *chosen: Task, **bounds: float) -> list:
-    return run_job(Job(str(store.root), toys.TABLE, chosen, **bounds))
+def run(store: Store, *chosen: Task, **bounds: Any) -> list:
+    return run_lot(Lot(str(store.root), toys.TABLE, chosen, **bounds), {})
 
 
-def test_a_bundle_runs_in_turn_and_stores_each_product(store):
+def test_a_lot_runs_in_turn_and_stores_each_product(store):
     outcomes = run(store, *tasks())
     assert [(o.run, o.status) for o in outcomes] == [(k, Status.DONE) for k in range(3)]
     found = store.get(IDS["observe"]).arrays
@@ -55,13 +58,13 @@ def test_a_bundle_runs_in_turn_and_stores_each_product(store):
         assert meta["versions"]["numpy"] == np.__version__
 
 
-def test_a_job_that_takes_longer_than_foreseen_ends_and_stores_what_it_has(store):
+def test_a_lot_that_takes_longer_than_foreseen_ends_and_stores_what_it_has(store):
     outcomes = run(store, *tasks(seconds=0.06), longest=0.05)
     assert [o.run for o in outcomes] == [0, 1]
     assert [store.has(identity) for identity in IDS.values()] == [True, True, False]
 
 
-def test_what_a_job_has_finished_is_stored_while_it_goes_on(store, monkeypatch):
+def test_what_a_lot_has_finished_is_stored_while_it_goes_on(store, monkeypatch):
     kept: list[list[str]] = []
 
     def keep(self: Store, files: dict) -> None:
@@ -87,7 +90,7 @@ def test_from_memory_or_from_the_store_the_bits_are_the_same(store):
     first = store.path(IDS["observe"])
     kept = store.get(IDS["observe"]).arrays
     first.unlink()
-    worker._memory.products.clear()
+    worker._memory.clear()
     assert run(store, tasks()[2])[0].status is Status.DONE
     again = store.get(IDS["observe"]).arrays
     assert all(kept[name].tobytes() == again[name].tobytes() for name in kept)
@@ -106,7 +109,7 @@ def test_a_lost_parent_is_named(store):
     missing = run(store, tasks()[1])[0]
     assert (missing.status, missing.lost) == (Status.NOT_RUN, IDS["pack"])
     run(store, tasks()[0])
-    worker._memory.products.clear()
+    worker._memory.clear()
     os.truncate(store.path(IDS["pack"]), 90)
     damaged = run(store, tasks()[1])[0]
     assert damaged.lost == IDS["pack"]
@@ -126,34 +129,68 @@ def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkey
     assert list(store.files()) == []
 
 
-def test_memory_is_bounded_and_keeps_what_was_used_last():
-    memory = worker._Memory(limit=240)
+def test_memory_is_bounded_and_keeps_what_was_used_last(monkeypatch):
+    worker._memory.clear()
+    monkeypatch.setattr(worker._memory, "n", 240)
+    memory = worker._memory
     for name in "abc":
-        memory.put(name, {"x": np.zeros(10)})
-    assert memory.get("a") is not None
-    memory.put("d", {"x": np.zeros(10)})
-    assert sorted(memory.products) == ["a", "c", "d"]
-    memory.put("large", {"x": np.zeros(100)})
-    assert memory.get("large") is None
-    assert memory.size == 240
+        memory[name] = {"x": np.zeros(10)}
+    assert memory["a"] is not None
+    memory["d"] = {"x": np.zeros(10)}
+    assert sorted(memory) == ["a", "c", "d"]
+    memory["large"] = {"x": np.zeros(100)}
+    assert "large" not in memory
+    assert memory.total_weight == 240
 
 
-def test_parents_in_memory_stay_at_hand_until_the_job_ends(store, monkeypatch):
+def test_parents_that_went_out_of_memory_come_from_what_came_with_the_lot(store, monkeypatch):
     pack, flow, observe = tasks()
-    other = flow._replace(id="ff" + "0" * 62, parents=("ee" + "0" * 62, None))
-    files = {other.parents[0]: store_pack(seed=2, identity=other.parents[0])}
-    run_job(Job(None, toys.TABLE, (pack, flow)))
-    monkeypatch.setattr(worker._memory, "limit", worker._memory.size)  # the next puts one out
-    outcomes = run_job(Job(None, toys.TABLE, (other, observe), files))
+    run_lot(Lot(None, toys.TABLE, (pack, flow)), {})
+    monkeypatch.setattr(worker._memory, "n", 60)  # bytes: nothing stays beside anything
+    files = {i: store_pack(seed=1, identity=i) for i in (IDS["pack"],)}
+    outcomes = run_lot(Lot(None, toys.TABLE, (flow, observe)), files)
     assert [o.status for o in outcomes] == [Status.DONE] * 2
-    assert worker._memory.get(IDS["pack"]) is None
+
+
+def test_what_lies_in_memory_from_before_counts_against_no_run(store):
+    """A run that finds no memory is tried again without the products of earlier ones."""
+    pack, flow, _ = tasks(toy_stages.FORESEES)
+    held = resident_memory() + 4e8
+    worker._memory["earlier"] = {"x": np.ones(45_000_000)}  # 360 MB
+    worker._memory.n, bound = 1_000_000_000, worker._memory.n
+    try:
+        worker._memory["earlier"] = {"x": np.ones(45_000_000)}
+        outcomes = run(store, pack, flow, memory=held)
+    finally:
+        worker._memory.n = bound
+        worker._memory.clear()
+    assert [o.status for o in outcomes] == [Status.DONE] * 2
+    assert "earlier" not in worker._memory
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.ENOLCK, errno.EACCES])
+def test_what_fails_around_a_stage_is_no_failure_of_the_case(store, monkeypatch, number):
+    """A full disk under the compiled kernels, a home without locks."""
+
+    def fails(*_: object, **__: object) -> None:
+        try:
+            raise OSError(number, os.strerror(number), "/cache/index")
+        except OSError as error:
+            raise RuntimeError("the kernel cannot be cached") from error
+
+    monkeypatch.setattr(toy_stages, "flow", fails)
+    with pytest.raises(OSError, match="/cache/index"):
+        run(store, *tasks())
+    assert [store.has(identity) for identity in IDS.values()] == [True, False, False]
+    assert store.failure(IDS["flow"]) is None
+    monkeypatch.undo()
+    assert [o.status for o in run(store, *tasks()[1:])] == [Status.DONE] * 2
 
 
 def test_what_would_not_fit_is_foreseen(store):
     """The limit of a case counts before memory is taken, and only for its own job."""
     pack, flow, _ = tasks(toy_stages.FORESEES)
-    limited = Job(str(store.root), toys.TABLE, (pack, flow), memory=1.5e8)
-    ended = run_job(limited)[1]
+    ended = run(store, pack, flow, memory=1.5e8)[1]
     assert ended.status is Status.OUT_OF_MEMORY
     assert "a toy needs 0.1 GB" in ended.message
     assert "limits.memory" in ended.message

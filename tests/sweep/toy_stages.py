@@ -88,7 +88,7 @@ def flow(
     if rate in (ANSWERS_SLOWLY, DIES_ANSWERING):
         _answer_slowly(dies=rate == DIES_ANSWERING)
     if rate == FORGETS:
-        vars(sys.modules["demflow.sweep.execution.worker"])["_memory"].limit = LITTLE_MEMORY
+        vars(sys.modules["demflow.sweep.execution.worker"])["_memory"].n = LITTLE_MEMORY
     if rate == NO_NUMBER:
         rate = np.nan
     if rate == HOLDS_ON:  # as a compiled loop does: no other thread of the process runs

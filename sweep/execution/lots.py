@@ -1,0 +1,93 @@
+"""What a worker is sent: stage runs with all that they read, and parents where they travel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from distributed import Future
+from zict import LRU
+
+from demflow.sweep.execution.pool import NoAnswerError, Pool
+from demflow.sweep.execution.schedule import LONGEST_SECONDS
+from demflow.sweep.execution.worker import Lot, Task
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.store.products import DamagedError, MissingError, Store
+
+if TYPE_CHECKING:
+    from demflow.model.scene import Scene
+
+SENT_BYTES = 100_000_000  # of products that are held on a cluster, each on the workers that took it
+
+
+class ParentLostError(Exception):
+    """A product that a run is to be sent is missing or damaged."""
+
+    def __init__(self, run: int, identity: str, message: str):
+        super().__init__(message)
+        self.run, self.identity = run, identity
+
+
+class Lots:
+    """Makes the lots of a plan.
+
+    Parameters
+    ----------
+    plan, store : what there is to run, and where products lie.
+    scene_of : the scene of a case by its index in the plan.
+    table : where the table of stages lies, as `module:name`.
+    pool : where they go; products travel if it does not see the store.
+    """
+
+    def __init__(
+        self, plan: Plan, store: Store, scene_of: Callable[[int], Scene], table: str, pool: Pool
+    ):
+        self.plan, self.store, self.scene_of = plan, store, scene_of
+        self.table, self.pool = table, pool
+        # futures of products that a cluster has, and their sizes; its workers take them from
+        # each other
+        self._sent: LRU[str, tuple[Future, int]] = LRU(
+            SENT_BYTES, {}, weight=lambda _, sent: sent[1]
+        )
+
+    def make(self, runs: tuple[int, ...], memory: float | None, afresh: bool) -> Lot:
+        """The lot of some runs; `Lot` says what the others are."""
+        store = str(self.store.root.resolve()) if self.pool.shares_store else None
+        tasks = tuple(map(self._task, runs))
+        return Lot(store, self.table, tasks, memory, LONGEST_SECONDS, afresh)
+
+    def _task(self, run: int) -> Task:
+        entry, stage = self.plan.runs[run], self.plan.stage_of(run)
+        reads = stage.given(self.scene_of(entry.case), entry.leg)
+        parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
+        return Task(run, entry.id, stage.name, reads, parents)
+
+    async def files(self, address: str, lot: Lot) -> dict[str, Future]:
+        """Parents that a worker does not make in this very lot.
+
+        Raises ParentLostError, NoAnswerError.
+        """
+        if lot.store is not None:
+            return {}
+        own = {task.id for task in lot.tasks}
+        taken = {p: task.run for task in lot.tasks for p in task.parents if p and p not in own}
+        futures = {
+            identity: self._sent[identity][0] for identity in taken if identity in self._sent
+        }
+        for identity in taken.keys() - futures.keys():
+            try:
+                content = self.store.content(identity)
+            except (MissingError, DamagedError) as error:
+                raise ParentLostError(taken[identity], identity, str(error)) from error
+            key = f"{self.pool.name}-{identity}"
+            try:
+                sent = await self.pool.client.scatter({key: content}, workers=[address], hash=False)
+            except Exception as error:  # the worker has gone, or the scheduler
+                raise NoAnswerError(address) from error
+            futures[identity] = sent[key]
+            self._sent[identity] = (sent[key], len(content))
+        return futures
+
+    def forget(self) -> None:
+        """Send anew what was sent: a worker that held some of it is gone, or it came damaged."""
+        self._sent.clear()
