@@ -14,7 +14,7 @@ from demflow.model.flow.equation.problem import Answer, Problem
 from demflow.model.flow.linear import elimination
 from demflow.model.flow.solvers.registry import SOLVERS
 from demflow.model.flow.solvers.time_error import FAINT, Recorded, time_error
-from demflow.model.products import Responses
+from demflow.model.products import Permeability, Responses
 from demflow.model.region import Rectangle
 from demflow.model.scene import Trace, Well
 from tests.reservoirs import reservoir
@@ -45,9 +45,12 @@ def well_problem(
         name="fracture",
         start=(-0.7, -0.3),
         end=(0.6, 0.5),
-        aperture=matrix * contrast ** (1 / 3),
+        permeability=contrast * matrix**3,
+        pore_storage="fracture",
     )
-    rock = reservoir(packing, Rectangle(2.0, 2.0), matrix, (fracture,) if contrast > 1.0 else ())
+    traces = (fracture,) if contrast > 1.0 else ()
+    unit = Permeability(np.eye(2))
+    rock = reservoir(packing, Rectangle(2.0, 2.0), matrix, traces, unit_permeability=unit)
     well = Well(name="well", at=at, radius=0.02, rate=1.0)
     system = rock.assembled(sites((well,)), ("left",))
     leaves = system.edge_j >= system.pores
