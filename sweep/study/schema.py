@@ -143,6 +143,11 @@ def _schema(section: Section) -> Schema:
     if isinstance(section, Words):
         items = {"enum": list(section.choices)}
         return {"type": "array", "minItems": 1, "uniqueItems": True, "items": items}
+    return _forms(section)
+
+
+def _forms(section: Section) -> Schema:
+    """The schema of what can be written in several forms."""
     if isinstance(section, Times):
         return {"oneOf": [_schema(section.listed), _schema(section.spaced)]}
     if isinstance(section, ProbeForms):
