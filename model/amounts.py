@@ -17,7 +17,7 @@ from demflow.model.scene import Scene
 
 COUNTED = 2_000_000  # pairs of a time and a change up to which equal lags are found
 WORKING = 6  # copies of the times since every change that are made to find the lags
-PER_LAG = 300  # numbers of a lag while responses are put together: some hundred modes, three times
+PER_LAG = 500  # numbers of a lag while responses are put together: some hundred modes, five times
 DERIVED = 4  # of a well's pressure: its rate, its change and that's derivative beside it
 
 
