@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from demflow.model.controls import sites
+from demflow.model.flow.equation.probes import between_pores
 from demflow.model.flow.solvers.explicit import step_limit
 from demflow.model.flow.solvers.registry import SOLVERS, flow
-from demflow.model.network.domains import domains_at
 from demflow.model.outcome import ModelError
+from demflow.model.products import Permeability
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import Probe, Trace, Well
 from tests.reservoirs import dense_matrices, exact_response, reservoir
@@ -20,10 +21,11 @@ SCATTERED = random_graph(1.2, 1350, 3)
 # grains of half the size leave every pore room, so that no sliver rules the explicit step
 PACKING = SCATTERED._replace(radius=0.5 * SCATTERED.radius)
 FRACTURES = (
-    Trace(name="open", aperture=3e-5, start=(-0.6, -0.3), end=(0.7, 0.25)),
+    Trace(name="open", permeability=3e-5**3, start=(-0.6, -0.3), end=(0.7, 0.25)),
     Trace(name="wall", transmissibility_multiplier=0.05, start=(0.1, 0.6), end=(0.6, -0.5)),
 )
-ROCK = reservoir(PACKING, REGION, 2e-5, FRACTURES)
+UNIT = Permeability(np.eye(2))  # a medium whose pipes have an aperture w has k = w³
+ROCK = reservoir(PACKING, REGION, 2e-5, FRACTURES, unit_permeability=UNIT)
 PRODUCER = Well(name="producer", at=(-0.4, 0.2), radius=0.12, rate=1e-6)
 INJECTOR = Well(name="injector", at=(0.6, -0.3), radius=0.01, rate=-1e-6)
 HELD = Well(name="held", at=(0.1, 0.45), radius=0.06, pressure=2e5)
@@ -31,6 +33,9 @@ WELLS = (PRODUCER, INJECTOR, HELD)
 SIDES = ("left", "top")
 PROBES = (Probe("one", (0.3, 0.2)), Probe("in a well", (-0.4, 0.2)))
 SYSTEM = ROCK.assembled(sites(WELLS), SIDES)
+AROUND = between_pores(
+    ROCK.network, ROCK.apertures, REGION, SYSTEM, np.array([p.at for p in PROBES])
+)
 LIMIT = step_limit(SYSTEM)
 TIMES = tuple(np.geomspace(3.0, 3e4, 15) * LIMIT)
 LATE = 1e7 * LIMIT
@@ -84,12 +89,11 @@ def test_agrees_with_a_dense_eigen_solution(method):
             flow = (own - exact[:, SYSTEM.fixed_node[ours]]) @ SYSTEM.fixed_g[ours]
             size = SYSTEM.fixed_g[ours].sum() * scale
             np.testing.assert_allclose(output[:, 2 + k], flow, atol=ERROR[method] * size)
-        # and probes: the pore around the point, or the well in which it lies
-        at = domains_at(ROCK.network, np.array([PROBES[0].at]))
+        # and probes: between the pores around the point, or the well in which it lies
+        around = SYSTEM.node_of_domain[AROUND.domain[AROUND.probe == 0]]
+        parts = AROUND.part[AROUND.probe == 0]
         np.testing.assert_allclose(
-            output[:, -2],
-            pressure[:, np.searchsorted(found.domain, at[0])],
-            atol=1e-12 * scale,
+            output[:, -2], exact[:, around] @ parts, atol=ERROR[method] * scale
         )
         np.testing.assert_allclose(output[:, -1], output[:, 0], atol=1e-12 * scale)
 
