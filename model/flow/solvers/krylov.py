@@ -38,7 +38,7 @@ from demflow.model.outcome import ModelError
 CAUTION = 2.5
 
 # Vectors over which changes are taken: the estimate is the worst of them.
-WIDTHS = (1, 2, 3)
+WIDTHS = (1, 2, 3, 5)
 
 SHORTEST = 3  # vectors before the first estimate
 
