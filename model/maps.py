@@ -148,7 +148,8 @@ def _trace_flow(opened: Apertures, pressure: np.ndarray) -> np.ndarray:
     step = np.stack([opened.node_x[b] - opened.node_x[a], opened.node_y[b] - opened.node_y[a]])
     along = (opened.trace_end - opened.trace_start)[line].T
     sense = np.sign((step * along).sum(axis=0))
-    flow = sense * opened.branch_conductance * (pressure[..., a] - pressure[..., b])
+    fall = np.nan_to_num(pressure[..., a] - pressure[..., b])  # what no source reaches is at rest
+    flow = sense * opened.branch_conductance * fall
     most = np.zeros((len(opened.trace_start), *pressure.shape[:-1]))
     least = most.copy()
     np.maximum.at(most, line, np.moveaxis(flow, -1, 0))

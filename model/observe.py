@@ -66,7 +66,7 @@ def observe(
             "domain_count": np.asarray(np.count_nonzero(network.inside)),
             "floaters": network.floaters,
             "slivers": network.slivers,
-            "smallest_pore": _smallest(apertures.volume[network.inside]),
+            "smallest_pore": _smallest(apertures, network.inside),
             "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
             "parted_pipes": _parted(network, stress),
         }
@@ -142,9 +142,10 @@ def _share(traces: FractureNetwork, found: dict[str, np.ndarray], controls: Cont
     return np.asarray(alone / moved if moved > 0.0 else np.nan)
 
 
-def _smallest(volume: np.ndarray) -> np.ndarray:
-    """The smallest of some volumes over their mean."""
-    return np.asarray(volume.min() / volume.mean())
+def _smallest(apertures: Apertures, inside: np.ndarray) -> np.ndarray:
+    """The smallest volume that stores, of a pore or a piece of a fracture, over the mean pore's."""
+    pores = apertures.volume[inside]
+    return np.asarray(np.append(pores, apertures.node_volume).min() / pores.mean())
 
 
 def _parted(network: Network, stress: StressState | None) -> np.ndarray:
