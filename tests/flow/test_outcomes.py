@@ -116,7 +116,7 @@ def test_an_answer_that_would_not_fit_is_not_begun(method, monkeypatch):
     solver = SOLVERS[method]
     monkeypatch.setitem(SOLVERS, method, solver._replace(run=None))
     with pytest.raises(OutOfMemory, match=r"responses of 2 sources at \d+ lags.*fewer times"):
-        ROCK.respond((WELL,), ("left",), TIMES if solver.transient else (), method)
+        ROCK.respond((), ("left", "right"), TIMES if solver.transient else (), method)
 
 
 def test_a_space_that_would_not_fit_is_not_grown(monkeypatch):

@@ -62,6 +62,8 @@ def test_a_case_tells_its_wells_fractures_and_pipes(case):
     pipe = np.stack([case.pipe_x.values[inner], case.pipe_y.values[inner]])
     pore = np.stack([case.x.values, case.y.values])
     apart = np.linalg.norm(pore[:, a] - pore[:, b], axis=0)
+    crosses = apart > 0.0  # what runs along a trace within one pore joins no two
+    a, b, pipe, apart = a[crosses], b[crosses], pipe[:, crosses], apart[crosses]
     for one in (a, b):
         assert np.median(np.linalg.norm(pipe - pore[:, one], axis=0) / apart) < 0.7
     assert case.x.attrs["standard_name"] == "projection_x_coordinate"
