@@ -20,6 +20,8 @@ from tests.flow.test_factor import eliminate, random_graph
 from tests.reservoirs import Reservoir
 from tests.rocks import random_graph as random_rock
 
+pytestmark = pytest.mark.slow
+
 
 def system_of(n, i, j, g, node, source, fixed_g) -> System:
     """Pores between two fixed pressures; the last unknown is a well at a rate."""

@@ -15,6 +15,8 @@ from tests.diffusion import reference, relative_error, step_error, well_pressure
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
 
+pytestmark = pytest.mark.slow
+
 PROBLEM = well_problem(300, decades=5.0, times=21)
 LIMIT = step_limit(PROBLEM.system)
 STEADY = PROBLEM._replace(lag=np.array([np.inf]))

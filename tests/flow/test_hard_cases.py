@@ -18,6 +18,8 @@ from demflow.model.scene import Probe, Trace, Well
 from tests.reservoirs import dense_matrices, exact_response, reservoir
 from tests.rocks import random_graph, square_lattice
 
+pytestmark = pytest.mark.slow
+
 R = 0.05
 BOX = Rectangle(2.0, 1.4)
 LATTICE = square_lattice(1.3, R, (R, R))

@@ -22,6 +22,8 @@ from demflow.model.flow.solvers.explicit import step_limit
 from demflow.model.flow.solvers.registry import SOLVERS
 from tests.reservoirs import dense_matrices
 
+pytestmark = pytest.mark.slow
+
 every = pytest.mark.parametrize("method", SOLVERS)
 transient = pytest.mark.parametrize("method", [m for m, s in SOLVERS.items() if s.transient])
 LAGS = np.geomspace(100.0, 3000.0, 5)  # in units of the explicit step

@@ -16,6 +16,8 @@ from demflow.model.scene import Probe, Trace, Well
 from tests.reservoirs import dense_matrices, exact_response, reservoir
 from tests.rocks import packing_of, random_graph
 
+pytestmark = pytest.mark.slow
+
 REGION = Rectangle(2.0, 1.4)
 SCATTERED = random_graph(1.2, 1350, 3)
 # grains of half the size leave every pore room, so that no sliver rules the explicit step

@@ -20,6 +20,8 @@ from tests.benchmarks.tolerance_means_error import (
 )
 from tests.scenes import START, random_scene
 
+pytestmark = pytest.mark.slow
+
 NANODARCY = 9.869e-22  # m²
 
 

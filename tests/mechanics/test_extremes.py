@@ -25,6 +25,8 @@ from demflow.model.parameters import SceneError
 from demflow.model.scene import Bonds, FailureTest, Joint, JointLine, Stress
 from tests.mechanics.rocks import packed
 
+pytestmark = pytest.mark.slow
+
 KN = 40e9
 SLIDING = Joint(normal_stiffness=KN, shear_stiffness=KN, friction=0.3)
 

@@ -14,6 +14,8 @@ from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.scene import Bonds, Joint, JointLine, Stress
 from tests.mechanics.rocks import net_forces, packed
 
+pytestmark = pytest.mark.slow
+
 KN = 40e9
 FAR = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
 STRONG = Bonds(kind="parallel", tensile_strength=1e15, shear_strength=1e15)

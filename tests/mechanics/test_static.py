@@ -15,6 +15,8 @@ from demflow.model.outcome import ModelError
 from demflow.model.scene import Bonds, SceneError, Stress
 from tests.mechanics.rocks import net_forces, packed
 
+pytestmark = pytest.mark.slow
+
 KN = 124e9
 STRONG = {
     kind: Bonds(kind=kind, tensile_strength=1e9, shear_strength=1e9)

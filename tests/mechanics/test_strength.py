@@ -13,6 +13,8 @@ from demflow.model.products import Packing, StrengthTest
 from demflow.model.scene import Bonds, FailureTest, Joint, JointLine, Stress
 from tests.mechanics.rocks import packed
 
+pytestmark = pytest.mark.slow
+
 KN = 62e9
 CONTACTS = {"normal_stiffness": KN, "stiffness_ratio": 2.5, "friction": 0.5}
 

@@ -19,7 +19,10 @@ STUDIES = sorted((Path(__file__).parents[2] / "studies").glob("*.yaml"))
 
 
 # a few hundred grains yield less than the whole study's, and the run says so
-pytestmark = pytest.mark.filterwarnings("ignore:in .* cases a pressure falls below zero")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore:in .* cases a pressure falls below zero"),
+]
 
 
 @pytest.fixture(scope="module", params=STUDIES, ids=lambda path: path.stem)

@@ -20,6 +20,8 @@ from demflow.sweep.execution.progress import Progress, ProgressLine, duration, l
 from demflow.sweep.store.lock import FolderLock
 from tests.sweep import toy_stages, toys
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def good(tmp_path_factory):

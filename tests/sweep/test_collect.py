@@ -26,6 +26,8 @@ from demflow.sweep.dataset.tiles import tiles
 from demflow.sweep.prepared import prepare
 from tests.sweep import toy_stages, toys
 
+pytestmark = pytest.mark.slow
+
 
 @given(st.lists(st.integers(1, 6), max_size=4).map(tuple), st.integers(1, 50))
 def test_tiles_cut_the_cases_into_blocks_that_fit(shape, most):

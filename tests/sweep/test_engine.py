@@ -24,6 +24,8 @@ from tests.sweep import toy_stages, toys
 from tests.sweep.processes import leftovers, products, start
 from tests.sweep.stored import put
 
+pytestmark = pytest.mark.slow
+
 CASES = 2 * 2 * 3
 RUNS = 2 + 4 + 12 + 12  # packs, stresses, flows, observers
 

@@ -22,6 +22,8 @@ from demflow.sweep.errors import RunError
 from tests.sweep import toy_stages, toys
 from tests.sweep.processes import products, start
 
+pytestmark = pytest.mark.slow
+
 POISON = {
     toy_stages.RAISES: (Status.FAILED, "flow: the well is dry; try a smaller rate"),
     toy_stages.BREAKS: (Status.FAILED, "flow: ZeroDivisionError: one over nothing (toy_stages.py"),

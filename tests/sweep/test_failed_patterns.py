@@ -21,6 +21,8 @@ from demflow.sweep.store.products import StoreError
 from demflow.sweep.study.cases import case_at
 from tests.sweep.invented import LINEAR, RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
+pytestmark = pytest.mark.slow
+
 COUNT = 2  # random patterns, beside those of one good case
 FEW = SWEEP.replace("per_decade: 12", "per_decade: 1").replace("count: 3", "count: 2")
 FEW = FEW.replace("[0 deg, 30 deg, 65 deg]", "[0 deg, 65 deg]")

@@ -18,6 +18,8 @@ from demflow.sweep.figures.wells import draw_well
 from demflow.sweep.study.cases import case_at
 from tests.sweep.invented import LINEAR, RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
+pytestmark = pytest.mark.slow
+
 SMALL = SWEEP.replace("per_decade: 12", "per_decade: 5")
 STEADY = """
 study: steady

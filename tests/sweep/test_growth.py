@@ -24,6 +24,8 @@ from demflow.sweep.study.scenes import SceneBuilder
 from tests.sweep import toys
 from tests.sweep.study_text import EXAMPLE
 
+pytestmark = pytest.mark.slow
+
 STAGES = stage_table()
 
 HEAD, TAIL = EXAMPLE.split("vary:")[0], "observe:" + EXAMPLE.split("observe:")[1]

@@ -28,6 +28,8 @@ from tests.sweep import marches, toys
 from tests.sweep.toy_stages import DIARY
 from tests.sweep.toy_stages import pack as toy_pack
 
+pytestmark = pytest.mark.slow
+
 STEPS = {  # rates from 0, 10 and 20 s on
     "a": (1.0, 2.0, 3.0),
     "b": (1.0, 2.0, 0.0),

@@ -13,6 +13,8 @@ from distributed.security import Security
 from demflow.sweep.execution.local import LocalPool
 from demflow.sweep.execution.pool import silent_loops
 
+pytestmark = pytest.mark.slow
+
 
 def starting(known: set[int]) -> list[psutil.Process]:
     """Worker processes that were not there before."""

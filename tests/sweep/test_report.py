@@ -11,6 +11,8 @@ from demflow.sweep.report import write_report
 from demflow.sweep.report.html import grid
 from tests.sweep.invented import RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
+pytestmark = pytest.mark.slow
+
 
 class Page(HTMLParser):
     """Tags, attributes and text of a page; every tag that opens must close."""

@@ -17,6 +17,8 @@ from demflow.sweep.store.products import Store, StoreError
 from demflow.sweep.study.load import StudyError
 from tests.sweep import toy_stages, toys
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture
 def results(tmp_path):

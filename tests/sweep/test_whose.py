@@ -14,6 +14,8 @@ from demflow.sweep.errors import ResultsError
 from demflow.sweep.store.products import StoreError
 from tests.sweep import toy_stages, toys
 
+pytestmark = pytest.mark.slow
+
 POOR = "tests.sweep.toy_stages:POOR"
 SMOKE = "smoke: {vary.rate: [1]}\n"
 
