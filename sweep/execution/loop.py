@@ -45,6 +45,7 @@ OUTGROWN = "worker-restart-memory"  # topic under which a nanny tells that it en
 UNFIT_SECONDS = 60.0  # s for which workers that cannot be used are all there are
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
 COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
+GONE = ("lost", "cancelled")  # of what was sent to a worker, as Dask says it
 HEARD_SECONDS = 20.0  # s that the first stage run waits for other workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
 GREETINGS = 3  # workers that may fail to answer, or be too small to do so, in one run
@@ -291,8 +292,14 @@ class _Execution:
         room = self.judge.memory(worker.known)
         lot = self.lots.make(worker.runs, room, worker.runs[0] in self.schedule.suspects)
         files = await self.lots.files(worker.address, lot)
+        answer = asyncio.ensure_future(self.pool.call(worker.address, run_lot, lot, files))
         try:
-            return await self.pool.call(worker.address, run_lot, lot, files)
+            # Dask never starts what waits for a parent that died with the worker that held it
+            while not (await asyncio.wait({answer}, timeout=self.pool.look_every))[0]:
+                if any(sent.status in GONE for sent in files.values()):
+                    self.lots.forget()
+                    return []  # its runs wait again
+            return await answer
         except NoAnswerError:
             raise
         except OSError as error:
@@ -303,6 +310,8 @@ class _Execution:
         except Exception as error:
             told = f"{type(error).__name__}: {error}".splitlines()[0]
             raise RunError(f"the worker {worker.address} broke: {told}") from error
+        finally:
+            answer.cancel()
 
     def _settle(self, worker: _Worker, runs: tuple[int, ...], answer: list[Outcome]) -> None:
         """Enter what a worker has answered; what it left out of its lot waits again."""

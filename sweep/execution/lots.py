@@ -49,6 +49,7 @@ class Lots:
         self._sent: LRU[str, tuple[Future, int]] = LRU(
             SENT_BYTES, {}, weight=lambda _, sent: sent[1]
         )
+        self._sendings = 0
 
     def make(self, runs: tuple[int, ...], memory: float | None, afresh: bool) -> Lot:
         """The lot of some runs; `Lot` says what the others are."""
@@ -79,7 +80,10 @@ class Lots:
                 content = self.store.content(identity)
             except (MissingError, DamagedError) as error:
                 raise ParentLostError(taken[identity], identity, str(error)) from error
-            key = f"{self.pool.name}-{identity}"
+            # a name of its own each time: Dask may hear that the one before is forgotten only
+            # after it has heard of this one, and would forget this one
+            self._sendings += 1
+            key = f"{self.pool.name}-{identity}-{self._sendings}"
             try:
                 sent = await self.pool.client.scatter({key: content}, workers=[address], hash=False)
             except Exception as error:  # the worker has gone, or the scheduler
