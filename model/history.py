@@ -257,6 +257,8 @@ def _unexplained(responses: Responses, controls: Controls) -> float:
     wells = len(controls.wells) - (fixed - len(controls.side_pressures))
     worst = 0.0
     for source in range(fixed + wells):
+        if not responses.output[source].any():
+            continue  # it idles: its response was not computed
         flow = responses.output[source, :, wells : wells + fixed]
         taken = 0.0 if source < fixed else 1.0
         ends = np.stack([flow[:-1], flow[1:]])

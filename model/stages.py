@@ -362,7 +362,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="demflow.model.observe:observe",
-        version=9,
+        version=10,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures"),

@@ -22,7 +22,6 @@ MODEL = (
         "model.products",
         "model.transient",
         "model.threads",
-        "model.verdict",
     ),
     ("model.kernel_cache",),
     ("model.compile",),

@@ -45,6 +45,7 @@ OUTGROWN = "worker-restart-memory"  # topic under which a nanny tells that it en
 UNFIT_SECONDS = 60.0  # s for which workers that cannot be used are all there are
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
 COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
+VERDICT_SECONDS = 0.3  # by which a nanny may be later than the scheduler with such news
 GONE = ("lost", "cancelled")  # of what was sent to a worker, as Dask says it
 HEARD_SECONDS = 20.0  # s that the first stage run waits for other workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
@@ -382,7 +383,8 @@ class _Execution:
     def _hear_of_leaving(self, told: Mapping[str, Any]) -> None:
         """The scheduler has noticed that a worker is gone."""
         if told["action"] == "remove-worker" and (worker := self.workers.get(told["worker"])):
-            worker.gone()
+            # its nanny may be about to say why it ended it
+            asyncio.get_running_loop().call_later(VERDICT_SECONDS, worker.gone)
 
     def _hear_of_memory(self, told: Mapping[str, Any]) -> None:
         """A nanny ends a worker that holds more than it may."""

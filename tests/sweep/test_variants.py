@@ -9,10 +9,11 @@ from study_text import broken, load, place_of, problems
 
 from demflow import sweep
 from demflow.model.outcome import Status
+from demflow.model.quantities import CASE
 from demflow.model.scene import Circle, Rectangle
 from demflow.sweep.command.cli import main
 from demflow.sweep.study.cases import case_at, coordinates
-from demflow.sweep.study.expect import Expectation, beyond_bounds, ends_as_expected
+from demflow.sweep.study.expect import DEFAULTS, Expectation, beyond_bounds, ends_as_expected
 
 STUDY = """\
 study: varied
@@ -154,3 +155,15 @@ def test_a_study_whose_cases_fail_as_stated_is_good(tmp_path, capsys):
     assert "6 of 6 cases came out as the study says" in page
     path.write_text(broken("blows up", "sinks", STUDY), encoding="utf-8")
     assert main(["run", str(path), "--workers", "1", *place]) == 1
+
+
+@pytest.mark.parametrize("name", DEFAULTS)
+def test_what_no_sound_result_exceeds_is_judged_unasked(name):
+    assert name in CASE
+    plain = Expectation()
+    assert not beyond_bounds(plain, {name: 0.5 * DEFAULTS[name]})
+    for value in (2.0 * DEFAULTS[name], np.nan, np.inf):
+        (told,) = beyond_bounds(plain, {name: value})
+        assert name in told
+    own = Expectation(**{name: 4.0 * DEFAULTS[name]})  # a study may ask for less
+    assert not beyond_bounds(own, {name: 2.0 * DEFAULTS[name]})
