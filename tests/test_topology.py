@@ -1,7 +1,7 @@
 """Nodes of lines in the plane against exact fractions, all pairs, and another library."""
 
 from fractions import Fraction
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -145,7 +145,7 @@ def test_pieces_of_a_bent_trace_share_their_ends_and_stay_one_trace():
     assert [line.trace for line in lines] == [0, 1, 1, 1, 1]
     assert [line.aperture for line in lines] == [2e-4, *[1e-4] * 4]
     bent = lines[1:]
-    assert all(a.end == b.start for a, b in zip(bent, bent[1:], strict=False))
+    assert all(a.end == b.start for a, b in pairwise(bent))
     assert [a.end for a in bent[:-1]] == list(bends[1:4])
     assert [(a.start_at_rim, a.end_at_rim) for a in bent] == [
         (True, False),

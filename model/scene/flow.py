@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 
@@ -136,7 +137,7 @@ class Well:
                 raise SceneError([("schedule", "the schedule is empty")])
             if not all(math.isfinite(v) for entry in self.schedule for v in entry):
                 raise SceneError([("schedule", "times and rates must be finite")])
-            if starts[0] < 0 or any(b <= a for a, b in zip(starts, starts[1:], strict=False)):
+            if starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
                 raise SceneError([("schedule", "times must increase, from 0 s on")])
 
     @property
@@ -266,7 +267,7 @@ def time_problems(times: tuple[float, ...]) -> Problems:
     """What is wrong with the output times by themselves."""
     if times and times[0] <= 0:
         yield "times", "times must be positive"
-    if any(b <= a for a, b in zip(times, times[1:], strict=False)):
+    if any(b <= a for a, b in itertools.pairwise(times)):
         yield "times", "times must increase"
     if not all(math.isfinite(t) for t in times):
         yield "times", "times must be finite"

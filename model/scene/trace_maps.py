@@ -272,7 +272,7 @@ def _simplified(vertices: Array, first: Array, tolerance: float) -> tuple[Array,
     """
     _, found = _topology_of(vertices, first, 0.0)
     shared = found.degree > 2
-    owner, a = pieces(first)
+    _owner, a = pieces(first)
     fixed = np.zeros(len(vertices), dtype=bool)
     fixed[first[:-1]] = fixed[first[1:] - 1] = True
     at_start = np.flatnonzero(found.along == 0.0)

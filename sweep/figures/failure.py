@@ -58,7 +58,7 @@ def draw_failure(
     curves.set(ylim=(0.0, None), ylabel=f"axial stress ({unit})")
     curves.set_xlabel("lateral  ←  strain (%)  →  axial")
     if len(cases) > 1:
-        first = [a for a in axes(dataset) if a not in ensembles and dataset.sizes[a] > 1][0]
+        first = next(a for a in axes(dataset) if a not in ensembles and dataset.sizes[a] > 1)
         curves.legend(title=axis_title(first), title_fontsize=8.5)
     counts.set(ylim=(0.0, None), xlabel="axial strain (%)", ylabel="cracks")
     for panel, k in zip(maps, chosen, strict=True):
@@ -82,7 +82,7 @@ def _cases(dataset: xr.Dataset, ensembles: Set[str]) -> list[tuple[str, Index]]:
 def _draw_cracks(panel: Axes, test: xr.Dataset, name: str) -> None:
     """The specimen before the test, and where its bonds broke."""
     left, right, bottom, top = test["box"].values
-    factor, unit = display("m", np.array([right - left, top - bottom]))
+    factor, _unit = display("m", np.array([right - left, top - bottom]))
     panel.add_patch(
         Rectangle(
             (factor * left, factor * bottom), factor * (right - left), factor * (top - bottom),

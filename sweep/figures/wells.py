@@ -232,7 +232,7 @@ def _emptiest_corner(panels: list[Axes]) -> tuple[float, float]:
     reach = [0.6 * width + 0.05, 0.6 * height + 0.03]
 
     def crowd(corner: tuple[float, float]) -> int:
-        middle = np.array(corner) + [width / 2, height / 2]
+        middle = np.array(corner) + np.array([width, height]) / 2
         return int(np.sum(np.all(np.abs(place - middle) < reach, axis=1)))
 
     left, right, bottom, top = 0.04, 0.88 - width, 0.06, 0.96 - height

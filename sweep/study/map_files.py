@@ -19,6 +19,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import itertools
 import json
 import math
 import re
@@ -197,7 +198,7 @@ def _shapefile(content: bytes, prj: str, rings: bool) -> Found:
                 found.problems.append(f"feature {number} is {what}; remove it")
                 continue
             stops = [*shape.parts, len(shape.points)]
-            for a, b in zip(stops, stops[1:], strict=False):
+            for a, b in itertools.pairwise(stops):
                 found.points.append(shape.points[a:b])
                 found.feature.append(number)
     except Exception as error:  # whatever pyshp meets in a damaged file

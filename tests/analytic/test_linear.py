@@ -88,7 +88,7 @@ def test_general_pressure_equals_equation_74():
 
 @pytest.mark.parametrize(("x_D", "t_D"), [(-0.1, 1.0), (1.1, 1.0), (0.5, -1.0), (np.nan, 1.0)])
 def test_refuses_what_lies_outside_the_sample(x_D, t_D):
-    with pytest.raises(ValueError, match="Eq. 24"):
+    with pytest.raises(ValueError, match=r"Eq\. 24"):
         linear_dimensionless_pressure(x_D, t_D)
 
 

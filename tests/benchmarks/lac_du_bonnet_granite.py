@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import statistics
 
 from demflow.model.mechanics.static.moduli import in_plane_strain
@@ -88,7 +89,7 @@ def run() -> Result:
         if confining == CONFINING[0]:
             first = (*strain, strengths[0])
     off = (first[0] / MODULUS - 1.0, first[1] - RATIO, first[2] / STRENGTH - 1.0)
-    rises = all(b > a for a, b in zip(strengths, strengths[1:], strict=False))
+    rises = all(b > a for a, b in itertools.pairwise(strengths))
     held = all(abs(value) <= bound for value, bound in zip(off, WITHIN, strict=True))
     return Result(
         f"E {off[0]:+.0%}, nu {off[1]:+.3f}, strength {off[2]:+.0%} against theirs",

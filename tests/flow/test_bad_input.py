@@ -71,7 +71,7 @@ def test_a_tolerance_that_no_solver_keeps(method, tolerance):
     "times", [(2.0, 1.0), (1.0, 1.0), (0.0, 1.0), (-1.0, 1.0), (1.0, math.nan), (1.0, math.inf)]
 )
 def test_times_that_do_not_increase(times):
-    with pytest.raises(ModelError, match="times.*number [01] is"):
+    with pytest.raises(ModelError, match=r"times.*number [01] is"):
         ask(times=times)
 
 
@@ -105,7 +105,7 @@ def test_a_well_in_a_part_that_touches_no_fixed_pressure(method):
     wall = (Trace(name="wall", transmissibility_multiplier=0.0, start=(0.0, -1.0), end=(0.0, 1.0)),)
     rock = reservoir(random_graph(1.2, 200, 3), REGION, 2e-5, wall)
     if not SOLVERS[method].transient:
-        with pytest.raises(ModelError, match="no steady state.*boundary pressure"):
+        with pytest.raises(ModelError, match=r"no steady state.*boundary pressure"):
             ask(rock, method=method)
         return
     system = rock.assembled(sites((WELL,)), ("left",))

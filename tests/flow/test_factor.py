@@ -35,7 +35,7 @@ def dense(n, i, j, g, excess, number=float):
 def eliminate(matrix, rhs):
     """Gauss elimination in exact numbers."""
     n = len(rhs)
-    a = [row[:] + [b] for row, b in zip(matrix, rhs, strict=True)]
+    a = [[*row, b] for row, b in zip(matrix, rhs, strict=True)]
     for k in range(n):
         for r in range(k + 1, n):
             factor = a[r][k] / a[k][k]

@@ -1,5 +1,6 @@
 """Hard cases of flow, each with the outcome that is promised."""
 
+import itertools
 import math
 
 import numpy as np
@@ -195,7 +196,7 @@ def test_pores_cut_off_keep_the_initial_pressure_and_are_counted(method):
     corners = [(-c, -c), (c, -c), (c, c), (-c, c), (-c, -c)]
     walls = tuple(
         Trace(name=f"{k}", transmissibility_multiplier=0.0, start=a, end=b)
-        for k, (a, b) in enumerate(zip(corners, corners[1:], strict=False))
+        for k, (a, b) in enumerate(itertools.pairwise(corners))
     )
     rock = reservoir(SCATTER, BOX, 1e-5, walls)
     times = (1.0, 1e5) if SOLVERS[method].transient else ()

@@ -156,7 +156,7 @@ def test_a_decay_rate_that_is_not_found_is_told(monkeypatch):
         raise ArpackNoConvergence("no convergence", np.empty(0), np.empty((0, 0)))
 
     monkeypatch.setattr(explicit_module, "eigsh", lost)
-    with pytest.raises(ModelError, match="solver.safety_factor"):
+    with pytest.raises(ModelError, match=r"solver\.safety_factor"):
         fastest_decay(PROBLEM.system, algebraic(PROBLEM.system))
 
 

@@ -168,7 +168,7 @@ def test_a_periodic_packing_covers_a_region(floaters: str) -> None:
 
 def test_a_cell_must_be_wide_enough() -> None:
     grains = at_rest(np.zeros(1), np.zeros(1), np.ones(1), np.ones(1))
-    with pytest.raises(ModelError, match="raise grains.tile"):
+    with pytest.raises(ModelError, match=r"raise grains\.tile"):
         Cell(grains, 2.0 * np.array([-1.0, 1.0, -1.0, 1.0]), Linear(1.0, 0.4, 0.3))
 
 

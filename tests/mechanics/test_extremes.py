@@ -169,7 +169,7 @@ def test_grains_that_run_away_are_told_at_once(rock, field: str) -> None:
     grain = rock.contact_a[len(rock.contact_a) // 2]
     getattr(specimen.grains, field)[grain] = np.nan
     for damping in (0.5, FIRE):
-        with pytest.raises(ModelError, match="ran away.*try"):
+        with pytest.raises(ModelError, match=r"ran away.*try"):
             specimen.relax(hydrostatic(2e-4), NEVER, damping=damping, steps=1000)
     assert specimen.steps <= 2
 

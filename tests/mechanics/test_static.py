@@ -106,7 +106,7 @@ def test_both_solvers_find_the_same_state(kind: str, xx: float, yy: float) -> No
     assert np.linalg.norm(forces[0] - forces[1]) <= 0.01 * np.linalg.norm(forces[1])
     np.testing.assert_allclose(one.wall_stress, 1e6 * np.array([xx, xx, yy, yy]), rtol=3e-4)
     np.testing.assert_allclose(one.stress, other.stress, rtol=2e-3, atol=2e-3 * xx * 1e6)
-    force, torque = net_forces(one, rock.radius, KN)
+    force, _torque = net_forces(one, rock.radius, KN)
     mean = np.hypot(one.normal_force, one.shear_force).mean()
     assert np.hypot(*force.T).mean() <= 2e-4 * mean
     assert float(one.unbalanced_ratio) <= 1e-4

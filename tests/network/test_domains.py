@@ -1,5 +1,6 @@
 """Domains and pipes against faces walked with dictionaries, laws of plane graphs, hard cases."""
 
+import itertools
 import math
 
 import numpy as np
@@ -79,9 +80,7 @@ def canonical(face):
 
 def faces_of(net):
     bounds = net.corner_start
-    return [
-        net.corner_grain[lo:hi].tolist() for lo, hi in zip(bounds[:-1], bounds[1:], strict=True)
-    ]
+    return [net.corner_grain[lo:hi].tolist() for lo, hi in itertools.pairwise(bounds)]
 
 
 def without_contacts(packing, lost):
@@ -248,8 +247,10 @@ def test_floaters_take_their_area_from_the_pore_around_them():
 def test_dangling_grains_and_clusters_apart_are_floaters():
     """A grain on one contact, a chain of two, and a ring of three that touches nothing."""
     packing, n = lattice_with(
-        [(0.5, 0.62, 0.1), (1.4, 0.5, 0.05), (1.5, 0.5, 0.05)]
-        + [(0.45, 1.5, 0.05), (0.55, 1.5, 0.05), (0.5, 1.5866, 0.05)],
+        [
+            *[(0.5, 0.62, 0.1), (1.4, 0.5, 0.05), (1.5, 0.5, 0.05)],
+            *[(0.45, 1.5, 0.05), (0.55, 1.5, 0.05), (0.5, 1.5866, 0.05)],
+        ],
     )
     contacts = [
         (named(packing, 0.0, 1.0), n),

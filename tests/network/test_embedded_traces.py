@@ -1,5 +1,6 @@
 """Traces as they are drawn: the graph that they alone make, tips, corners, wells, barriers."""
 
+import itertools
 import math
 
 import numpy as np
@@ -53,7 +54,7 @@ def flow_of_the_graph(traces):
     matrix = np.zeros((node, node))
     for trace, (a, b), found in zip(traces, ends, places, strict=True):
         found.sort()
-        for (s, i), (u, j) in zip(found, found[1:], strict=False):
+        for (s, i), (u, j) in itertools.pairwise(found):
             middle = a + 0.5 * (s + u) * (b - a)
             if abs(middle[0]) > 1.0 or abs(middle[1]) > 0.7:
                 continue

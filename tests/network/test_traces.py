@@ -1,5 +1,6 @@
 """Traces: they carry the cubic law, seal as barriers, and never break, wherever they lie."""
 
+import itertools
 import math
 
 import numpy as np
@@ -234,7 +235,7 @@ def test_crossing_traces_exchange_fluid(rock):
 
     The two share one node where they cross, in a sealed matrix to the last digits.
     """
-    made, seen = steady(
+    _made, seen = steady(
         rock,
         open_trace((-1.5, 0.013), (1.5, 0.013), "level"),
         open_trace((0.017, -1.5), (0.017, 1.5), "upright"),
@@ -318,7 +319,7 @@ def test_a_set_is_parallel_spaced_and_staggered(angle, gap):
     for row, stretches in rows.items():
         half = math.sqrt(4.0 - (row * spacing) ** 2)
         ends = [(-half, -half), *sorted(stretches), (half, half)]
-        for (_, before), (after, _) in zip(ends, ends[1:], strict=False):
+        for (_, before), (after, _) in itertools.pairwise(ends):
             assert after - before <= period - length + 1e-9
             assert after - before >= -1e-9
 

@@ -45,7 +45,7 @@ if bool(case["bonded"]):
             momentRotationLaw=True,
             alphaKr=0.1,
             alphaKtw=0.1,
-        )  # fmt: skip
+        )
     )
     loop = InteractionLoop(
         [Ig2_Sphere_Sphere_ScGeom6D()],

@@ -295,7 +295,7 @@ def _axis(tree: Any, chance: random.Random) -> None:
 def _variants(tree: Any, chance: random.Random) -> None:
     """An axis of variants that override anything."""
     overrides = {
-        chance.choice(WORDS + ["a", "b"]): {
+        chance.choice([*WORDS, "a", "b"]): {
             _any_path(tree, chance): _any_value(chance)
             if chance.random() < 0.7
             else _quantity(chance)

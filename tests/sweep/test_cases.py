@@ -81,7 +81,7 @@ def test_a_case_that_could_not_be_foreseen_raises_at_that_case_alone(tmp_path):
     text = SMALL.replace("{p: {at: [3, 0]}}", "{p: {at: [0, 3]}}")
     study = varied(tmp_path, axes, text)
     assert case_at(study, (0, 5, 5, 1)).scene.wells[0].at == (7.0, 0.0)
-    with pytest.raises(SceneError, match="wells.producer.at: the well lies outside"):
+    with pytest.raises(SceneError, match=r"wells\.producer\.at: the well lies outside"):
         case_at(study, (1, 5, 5, 1))
 
 

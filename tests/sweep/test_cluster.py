@@ -191,7 +191,7 @@ def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setattr(toys, "TABLE", "only_here:STAGES")
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
-    with pytest.raises(SchedulerError, match="cannot run demflow: .*only_here"):
+    with pytest.raises(SchedulerError, match=r"cannot run demflow: .*only_here"):
         toys.run(path, tmp_path / "results", scheduler=address)
 
 
@@ -292,7 +292,7 @@ def test_workers_too_small_to_import_anything_end_the_run_with_a_word(tmp_path):
     options = ("--memory-limit", "60 MB")
     with (
         dask_cluster(tmp_path / "processes", workers=1, options=options) as cluster,
-        pytest.raises(RunError, match="too small to import demflow.*--memory-limit"),
+        pytest.raises(RunError, match=r"too small to import demflow.*--memory-limit"),
     ):
         toys.run(path, tmp_path / "results", scheduler=cluster.address)
 

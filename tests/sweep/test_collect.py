@@ -48,7 +48,7 @@ def finished(tmp_path_factory):
 
 
 def test_every_case_lies_where_its_coordinates_say(finished):
-    path, ran = finished
+    _path, ran = finished
     dataset = open_results(ran.folder)
     assert dict(dataset.sizes) == {
         "seed": 2,

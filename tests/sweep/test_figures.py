@@ -297,14 +297,14 @@ def test_each_flow_period_is_drawn_over_its_own_time(results, monkeypatch):
 
 
 def test_wells_without_a_rate_have_no_picture(results):
-    study, dataset, folder = results(RADIAL)
+    _study, dataset, folder = results(RADIAL)
     dataset["pressure_change"][:] = np.nan
     with house_style():
         assert draw_well(dataset, "producer", lambda i, n: None, folder / "w.png") is None
 
 
 def test_permeability_without_axes_or_without_values(results):
-    study, dataset, folder = results(SMALL)
+    _study, dataset, folder = results(SMALL)
     single = dataset.isel(fracture_angle=0, aperture=0, stress_yy=0, rate=0)
     with house_style():
         assert caption(draw_permeability(single, folder / "k.png")) == (

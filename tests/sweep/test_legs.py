@@ -72,7 +72,7 @@ def marched(tmp_path_factory):
 @pytest.mark.slow
 def test_what_marches_by_legs_is_what_is_superposed(marched):
     """Whatever is shared, each case is its own schedule; and the legs bear no trace of it."""
-    path, finished = marched
+    _path, finished = marched
     assert (finished.failed, finished.executed.computed) == (0, 1 + 7 + 4)
     seen = open_results(finished.folder)
     packed = toy_pack(count=50, seed=1)

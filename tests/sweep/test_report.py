@@ -56,7 +56,7 @@ def made(tmp_path, monkeypatch):
 
 
 def test_page_holds_everything_and_asks_for_nothing(made):
-    page, dataset, study = made(RADIAL)
+    page, _dataset, study = made(RADIAL)
     text = " ".join(page.text)
     for word in (study.title, "5 cases, 5 done", "grains.seed", "mass balance error", "Eq. 29"):
         assert word in text

@@ -129,7 +129,7 @@ def test_opening_a_case_writes_nothing_and_names_what_is_not_whole(folder, maps,
     copy = root / folder.name
     for product in (root / "store").glob("*/*.product"):
         os.truncate(product, product.stat().st_size - 1)
-    with pytest.raises(ResultsError, match="pack cannot be read: .*`demflow run` computes"):
+    with pytest.raises(ResultsError, match=r"pack cannot be read: .*`demflow run` computes"):
         open_toy(copy, **case)
     shutil.rmtree(root / "store")
     with pytest.raises(ResultsError, match="no pack: it was not run; `demflow run`"):
@@ -143,7 +143,7 @@ def test_opening_a_case_writes_nothing_and_names_what_is_not_whole(folder, maps,
     with pytest.raises(ResultsError, match="bad YAML"):
         open_toy(copy, **case)
     (copy / "dataset.nc").unlink()
-    with pytest.raises(ResultsError, match="dataset.nc does not exist; `demflow run` writes it"):
+    with pytest.raises(ResultsError, match=r"dataset\.nc does not exist; `demflow run` writes it"):
         open_toy(copy, **case)
 
 

@@ -1,6 +1,7 @@
 """Studies that load: what their text means."""
 
 import hashlib
+import itertools
 import math
 import pickle
 import subprocess
@@ -53,14 +54,14 @@ def test_a_line_of_probes_is_expanded(example):
     assert [p.name for p in probes] == ["inner", *(f"line[{k}]" for k in range(50))]
     assert probes[1].at == (0.0, 0.0)
     assert probes[50].at == (13.8, 0.0)
-    steps = [b.at[0] - a.at[0] for a, b in zip(probes[1:], probes[2:], strict=False)]
+    steps = [b.at[0] - a.at[0] for a, b in itertools.pairwise(probes[1:])]
     assert steps == pytest.approx([13.8 / 49] * 49)
 
 
 def test_times_are_even_in_their_logarithm_and_include_both_ends(example):
     times = case_at(example, (0, 0, 0, 0)).scene.times
     assert (times[0], times[-1]) == (1.0, 24000.0)
-    ratios = [b / a for a, b in zip(times, times[1:], strict=False)]
+    ratios = [b / a for a, b in itertools.pairwise(times)]
     assert ratios == pytest.approx([ratios[0]] * len(ratios))
     assert 20 <= 1 / math.log10(ratios[0]) < 20.5
 

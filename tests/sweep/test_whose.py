@@ -62,7 +62,7 @@ def test_a_smoke_run_leaves_the_whole_dataset_alone(tmp_path):
         report(path, results)
     assert toys.run(path, results).cases == 2
     before = (results / "toy" / "dataset.nc").read_bytes()
-    with pytest.raises(StoreError, match="whole study.*--results"):
+    with pytest.raises(StoreError, match=r"whole study.*--results"):
         toys.run(path, results, smoke=True)
     with pytest.raises(ResultsError, match="without the smoke block"):
         report(path, results, smoke=True)

@@ -7,6 +7,7 @@ contacts give; `FrictionalTrial` gives the contacts by the law of the explicit s
 
 from __future__ import annotations
 
+import itertools
 from abc import ABC, abstractmethod
 
 import numpy as np
@@ -30,8 +31,8 @@ class Trial(ABC):
         self.n = len(grains.x)
         self.x, self.y, self.first_box = grains.x.copy(), grains.y.copy(), box.copy()
         starts = units.wall_start
-        self.walls = [units.wall_grain[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]
-        self.share = [units.wall_share[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]
+        self.walls = [units.wall_grain[a:b] for a, b in itertools.pairwise(starts)]
+        self.share = [units.wall_share[a:b] for a, b in itertools.pairwise(starts)]
         self.sums: Sums
 
     @abstractmethod
