@@ -147,8 +147,7 @@ def graph_of(lines: Sequence[Line], region: Region, wells: Sequence[WellPlace]) 
     ends: dict[tuple[float, float], int] = {}
     for points, places in ((start, first), (end, last)) if len(lines) else ():
         nodes_there = nodes.node[places].tolist()
-        for (x, y), node in zip(points.tolist(), nodes_there, strict=True):
-            ends[x, y] = node
+        ends.update(zip(map(tuple, points.tolist()), nodes_there, strict=True))
     port_node: list[int] = []
     port: list[int] = []
     for one in lines:

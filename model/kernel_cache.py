@@ -22,7 +22,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any, ClassVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -155,7 +155,7 @@ class _Locator:
 
 
 class _Implementation(caching.CompileResultCacheImpl):
-    _locator_classes: ClassVar = [_Locator]
+    _locator_classes = [_Locator]  # noqa: RUF012 (as Numba declares it)
 
 
 # What was compiled for types that are gone or have moved, or was cut short, is no use any more.
@@ -185,8 +185,9 @@ class _Files(caching.IndexDataCacheFile):
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        os.makedirs(self._cache_path, exist_ok=True)
-        with open(os.path.join(self._cache_path, ".lock"), "w") as file:
+        folder = Path(self._cache_path)
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / ".lock").open("w") as file:
             fcntl.flock(file, fcntl.LOCK_EX)
             yield
 

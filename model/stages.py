@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from demflow.model.mechanics.loading.stress import load as stress
     from demflow.model.mechanics.loading.stress import unit_loads
     from demflow.model.mechanics.packing.packing import pack
-    from demflow.model.network.apertures import open_pipes as open
+    from demflow.model.network.apertures import open_pipes as open  # noqa: A004 (the stage)
     from demflow.model.network.domains import network
     from demflow.model.network.fractures.walk import walk
     from demflow.model.observe import observe

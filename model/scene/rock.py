@@ -268,12 +268,10 @@ class Bonds:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        problems = []
-        for name in ("modulus", "stiffness_ratio"):
-            if self.kind == "contact" and getattr(self, name) is not None:
-                problems.append((name, "a contact bond is as stiff as its contact"))
-        if problems:
-            raise SceneError(problems)
+        if self.kind == "contact":
+            given = [n for n in ("modulus", "stiffness_ratio") if getattr(self, n) is not None]
+            if given:
+                raise SceneError([(n, "a contact bond is as stiff as its contact") for n in given])
 
     def elastic(self, stiffness: float) -> Bonds:
         """The same cement without its strengths, its modulus over a contact's stiffness k_n."""

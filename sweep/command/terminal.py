@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import os
 import sys
+from pathlib import Path
 
 from demflow.sweep.printable import printable_lines
 
@@ -35,7 +36,7 @@ def settle() -> None:
     try:
         sys.stdout.flush()
     except OSError:
-        with open(os.devnull, "w", encoding="utf-8") as nowhere:
+        with Path(os.devnull).open("w", encoding="utf-8") as nowhere:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 

@@ -32,7 +32,7 @@ def make_dataset(path: Path, fill: Callable[[netCDF4.Dataset], bool]) -> None:
     try:
         if not _written(aside, path, fill):
             return
-        with open(aside, "rb+") as written, naming(path):
+        with aside.open("rb+") as written, naming(path):
             os.fsync(written.fileno())
             sha256 = hashlib.file_digest(written, "sha256").hexdigest()
         with _hash_beside(path, sha256):
@@ -83,8 +83,8 @@ def _detach(path: Path) -> None:
     the file is whole and closing has nothing to add; after an error nobody wants it.
     """
     own = path.stat()
-    with open(os.devnull, "rb+", buffering=0) as nowhere:
-        for name in os.listdir("/dev/fd"):
+    with Path(os.devnull).open("rb+", buffering=0) as nowhere:
+        for name in os.listdir("/dev/fd"):  # noqa: PTH208 (whole before any of them is changed)
             with suppress(OSError):  # the descriptor of the listing itself
                 if os.path.samestat(os.fstat(int(name)), own):
                     os.dup2(nowhere.fileno(), int(name), inheritable=False)
@@ -123,7 +123,7 @@ def dataset_problem(path: Path) -> str | None:
 
 
 def _hash(path: Path) -> str:
-    with open(path, "rb") as file:
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 

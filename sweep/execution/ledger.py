@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import os
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -125,7 +124,7 @@ class Ledger:
     def _product_file(self, run: int) -> tuple[int, int] | None:
         """What tells one file of a product from the next, None where there is none."""
         try:
-            found = os.stat(self.store.path(self.plan.runs[run].id))
+            found = self.store.path(self.plan.runs[run].id).stat()
         except FileNotFoundError:
             return None
         return found.st_ino, found.st_mtime_ns

@@ -82,7 +82,7 @@ def _module(path: str, _changed: int) -> Module:
         kept.parent.mkdir(parents=True, exist_ok=True)
         aside = kept.with_name(f"{kept.name}.{os.getpid()}.partial")
         aside.write_text(json.dumps(module._asdict()))
-        os.replace(aside, kept)
+        aside.replace(kept)
     return module
 
 

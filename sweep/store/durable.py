@@ -45,14 +45,14 @@ def write_all_durably(files: Mapping[Path, bytes | memoryview]) -> None:
             for path, content in files.items():
                 folders.update(_made(path.parent))
                 # unbuffered: a full disk is told here, not when the file is closed
-                file = stack.enter_context(open(asides[path], "wb", buffering=0))
+                file = stack.enter_context(asides[path].open("wb", buffering=0))
                 with naming(path):
                     _write(file, content)
                 opened.append(file)
             with naming(path):  # the last of them stands for all
                 _flush_files(opened)
                 for path, aside in asides.items():
-                    os.replace(aside, path)
+                    aside.replace(path)
                 _flush_folders(folders, opened)
     except BaseException:
         with suppress(OSError):
@@ -64,7 +64,7 @@ def write_all_durably(files: Mapping[Path, bytes | memoryview]) -> None:
 def rename_durably(aside: Path, path: Path) -> None:
     """Rename a flushed file over `path` and flush the folder, so that the name survives too."""
     with naming(path):
-        os.replace(aside, path)
+        aside.replace(path)
         _flush_folder(path.parent)
 
 
@@ -151,7 +151,7 @@ def _syncfs() -> Any:
 def _unwritten() -> int:
     """Bytes in the memory of this machine that wait to be written to some disk."""
     try:
-        with open("/proc/meminfo", encoding="ascii") as file:
+        with Path("/proc/meminfo").open(encoding="ascii") as file:
             entries = dict(line.split(":", 1) for line in file)
         return 1024 * sum(int(entries[key].split()[0]) for key in ("Dirty", "Writeback"))
     except (OSError, LookupError, ValueError):

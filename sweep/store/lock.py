@@ -68,7 +68,7 @@ class FolderLock:
     def _still_there(self, file: int) -> bool:
         """Whether the file that was locked is the one that the path names now."""
         with suppress(FileNotFoundError):
-            return os.path.samestat(os.fstat(file), os.stat(self.path))
+            return os.path.samestat(os.fstat(file), self.path.stat())
         return False
 
     def _who(self) -> dict[str, str | int]:

@@ -166,7 +166,7 @@ class Store:
 
     def has(self, identity: str) -> bool:
         """Whether the product is there (whole or not: reading it tells)."""
-        return os.path.exists(self.path(identity))
+        return self.path(identity).exists()
 
     def get(self, identity: str) -> Stored:
         """Return a product, its hash checked.
@@ -314,9 +314,9 @@ def check_file(path: Path) -> None:
 
 def _whole_file(path: Path) -> IO[bytes]:
     """Open a file of the store. Raises DamagedError where it is none: a pipe would never end."""
-    if not stat.S_ISREG(os.stat(path).st_mode):
+    if not stat.S_ISREG(path.stat().st_mode):
         raise DamagedError("it is no file")
-    return open(path, "rb")
+    return path.open("rb")
 
 
 def _plain_kind(name: str, kind: str) -> np.dtype[Any]:
@@ -340,7 +340,7 @@ def put_aside(path: Path) -> None:
     Where that cannot be done it stays where it is, and is found damaged again.
     """
     with suppress(OSError):
-        os.replace(path, path.with_name(path.name + ".damaged"))
+        path.replace(path.with_name(path.name + ".damaged"))
 
 
 def _header(content: bytes) -> tuple[dict[str, Any], int]:

@@ -86,9 +86,9 @@ def replace_files(folder: Path, made: Mapping[str, Path]) -> list[str]:
             target = folder / name
             if os.path.lexists(target) and _hash(target) not in {*before.get(name, ()), new[name]}:
                 kept = _free_name(target)
-                os.rename(target, kept)
+                target.rename(kept)
                 moved.append(f"{target} was not written by demflow; it is kept as {kept.name}")
-            os.replace(path, target)
+            path.replace(target)
         _write_list(folder, new.items())
     return moved
 
@@ -96,7 +96,7 @@ def replace_files(folder: Path, made: Mapping[str, Path]) -> list[str]:
 def _write_list(folder: Path, lines: Iterable[tuple[str, str]]) -> None:
     path = folder / LIST
     if path.is_symlink():
-        os.rename(path, _free_name(path))
+        path.rename(_free_name(path))
     write_durably(path, "".join(f"{sha256}  {name}\n" for name, sha256 in lines).encode())
 
 
@@ -116,5 +116,5 @@ def _hash(path: Path) -> str | None:
     """SHA-256 of a regular file, None of anything else."""
     if not _is_file(path):
         return None
-    with open(path, "rb") as file:
+    with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -126,7 +126,7 @@ def start(folder: Path, compiler: str) -> Disk:
         [compiler, "-shared", "-fPIC", "-O1", "-o", str(library), str(LAYER), "-ldl"], check=True
     )
     shared.write_bytes(bytes(STATE.size + 5000))
-    with open(shared, "r+b") as file:
+    with shared.open("r+b") as file:
         state = mmap.mmap(file.fileno(), 0)
     layer = {
         "LD_PRELOAD": str(library),

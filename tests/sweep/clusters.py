@@ -117,7 +117,7 @@ def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen]:
     folder.mkdir()
     command = [sys.executable, "-m", "dask", *arguments]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with open(folder / "log", "wb") as log:
+    with (folder / "log").open("wb") as log:
         started = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
     try:
         yield started

@@ -152,7 +152,7 @@ def _events(leg: Leg, end: float) -> np.ndarray:
 
 def _note(what: str, leg: Leg) -> None:
     if path := os.environ.get(DIARY):
-        with open(path, "ab", buffering=0) as file:
+        with Path(path).open("ab", buffering=0) as file:
             file.write(f"{what} {leg.start:g} {leg.rates[0]:g}\n".encode())
 
 

@@ -49,7 +49,7 @@ def test_a_good_study_from_plan_to_verify(good, capsys):
         ("observe", 3, 0, 3),
     ]
     assert planned["seconds"] is None
-    assert not os.path.exists(results)  # a plan writes nothing
+    assert not Path(results).exists()  # a plan writes nothing
 
     assert toys.demflow("status", str(path), *place) == 0
     assert capsys.readouterr().out == "3 cases: 0 done, 0 failed, 3 missing\n"
@@ -112,10 +112,8 @@ def test_damage_is_found_and_healed(bad, capsys):
     path, results = bad
     toys.demflow("run", str(path), "--results", results)
     capsys.readouterr()
-    store = os.path.join(results, "store")
-    files = [os.path.join(d, f) for d, _, names in os.walk(store) for f in names]
-    victim = next(f for f in files if f.endswith(".product"))
-    os.truncate(victim, os.path.getsize(victim) - 1)
+    victim = next(Path(results, "store").rglob("*.product"))
+    os.truncate(victim, victim.stat().st_size - 1)
     assert cli.main(["verify", results]) == 1
     told = capsys.readouterr()
     assert told.out.splitlines()[0] == f"{victim}: the data differ from what was written"

@@ -83,7 +83,7 @@ def test_a_failing_disk_leaves_the_earlier_content(tmp_path, monkeypatch, place,
         raise OSError(28, "No space left on device")
 
     if place == "open":
-        monkeypatch.setattr("builtins.open", fail)
+        monkeypatch.setattr("io.open", fail)
     elif place == "syncfs":
         monkeypatch.setattr(durable, "FEW", 0)
         monkeypatch.setattr(durable, "_syncfs", lambda: fail)
@@ -98,7 +98,7 @@ def test_a_failing_disk_leaves_the_earlier_content(tmp_path, monkeypatch, place,
 
 def test_the_system_tells_why_it_could_not_flush(tmp_path):
     """An error of the system becomes an OSError with its number."""
-    with open(tmp_path / "file", "wb") as file:
+    with (tmp_path / "file").open("wb") as file:
         descriptor = file.fileno()
     with pytest.raises(OSError, match="Bad file descriptor"):
         durable._flush_all(descriptor)

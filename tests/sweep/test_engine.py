@@ -219,7 +219,7 @@ def test_a_script_is_warned_of_what_the_command_line_tells(tmp_path, monkeypatch
 
 
 def environment() -> dict[str, str]:
-    return {**os.environ, "PYTHONPATH": os.pathsep.join([os.getcwd(), *filter(None, sys.path)])}
+    return {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *filter(None, sys.path)])}
 
 
 def stored(results: Path) -> set[str]:

@@ -7,6 +7,7 @@ import hashlib
 import json
 import os
 import struct
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -186,7 +187,7 @@ def test_a_file_system_that_cannot_flush_folders_works(tmp_path, monkeypatch, nu
     real = os.fsync
 
     def fsync(descriptor):
-        if os.path.isdir(f"/proc/self/fd/{descriptor}"):
+        if Path(f"/proc/self/fd/{descriptor}").is_dir():
             raise OSError(number, os.strerror(number))
         real(descriptor)
 

@@ -124,7 +124,7 @@ def test_verify_finds_all_and_only_what_is_damaged(store):
     store.put_failure(ID, {"status": 1, "message": "no"})
     assert [problem for _, problem in store.verify()] == [None] * 41
     os.truncate(store.path(names[3]), 100)
-    os.replace(store.path(names[5]), store.path(names[7]))  # under a name that is not its own
+    store.path(names[5]).replace(store.path(names[7]))  # under a name that is not its own
     store.path(ID, "failed").write_bytes(b"")
     kept = {path.name for path, problem in store.verify(set_aside=False) if problem}
     assert kept == {f"{names[3]}.product", f"{names[7]}.product", f"{ID}.failed"}

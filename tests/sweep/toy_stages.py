@@ -119,7 +119,7 @@ def _answer_slowly(dies: bool) -> None:
 
 def _note(what: str, packed: Packed, rate: float) -> None:
     if path := os.environ.get(DIARY):
-        with open(path, "ab", buffering=0) as file:  # one line at a time, whoever else writes
+        with Path(path).open("ab", buffering=0) as file:  # one line at a time, whoever else writes
             file.write(f"{what} {int(packed.seed)} {rate:g}\n".encode())
 
 
