@@ -37,6 +37,7 @@ MODEL = (
     ("model.flow.equation",),
     ("model.flow.solvers",),
     ("model.permeability", "model.fracture_network", "model.controls"),
+    ("model.coupling",),
     ("model.amounts",),
     ("model.history",),
     ("model.observe", "model.maps"),

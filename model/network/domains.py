@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from demflow.model.network.connectivity import component_labels
+from demflow.model.network.enclosure import enclosed
 from demflow.model.network.faces import (
     crossing_pairs,
     locate,
@@ -33,7 +34,7 @@ CUT_FLOOR = 0.02
 NARROWEST = 2.0
 
 
-def network(packing: Packing, *, region: Region) -> Network:
+def network(packing: Packing, *, region: Region, walled: bool | None = None) -> Network:
     """Build the pores and pipes of a packing, and cut them along the rim of the region.
 
     A domain is a bounded face of the graph of contacts; its pore volume is the area of
@@ -43,8 +44,14 @@ def network(packing: Packing, *, region: Region) -> Network:
     rim. Grains with fewer than two contacts, and clusters apart from the largest, bound
     no face: they count as floaters.
 
+    A `walled` network is that of all pores between the walls of the packing, those at the walls
+    too (`enclosure`); no rim cuts it. A pipe at a wall is half of one between a grain and its
+    mirror image.
+
     Raises `ModelError` where no domain lies inside the region.
     """
+    if walled:
+        packing = enclosed(packing)
     x, y, radius = packing.x, packing.y, packing.radius
     a, b, dropped = _without_crossings(packing.contact_a, packing.contact_b, x, y, radius)
     a, b = _load_bearing(len(x), a, b)
@@ -78,6 +85,8 @@ def network(packing: Packing, *, region: Region) -> Network:
     np.subtract.at(volume, host[inside_void], np.pi * radius[floaters[inside_void]] ** 2)
 
     inside = contains(region, np.column_stack([cx, cy]))
+    if walled:
+        inside[:] = True
     if not inside.any():
         raise ModelError(
             "no pore lies inside the region: the grains are larger than it; raise grains.count"
@@ -89,6 +98,8 @@ def network(packing: Packing, *, region: Region) -> Network:
 
     corner_pipe = pipe_of_contact[corner_half_edge >> 1]
     length = radius[a] + radius[b]
+    if walled:
+        length[np.minimum(radius[a], radius[b]) == 0.0] *= 4.0
     if len(packing.scale):
         # pipes among finer grains conduct as coarse ones do: one aperture is one permeability
         length /= 0.5 * (packing.scale[a] + packing.scale[b])
