@@ -37,8 +37,8 @@ def by_type(statement: Callable[..., Any]) -> Any:
     implementations: dict[type, Callable[..., Any]] = {}
 
     @wraps(statement)
-    def function(first: Any, *rest: Any) -> Any:
-        return implementations.get(type(first), statement)(first, *rest)
+    def function(first: Any, *others: Any) -> Any:
+        return implementations.get(type(first), statement)(first, *others)
 
     def of(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def give(implementation: Callable[..., Any]) -> Callable[..., Any]:
@@ -47,7 +47,7 @@ def by_type(statement: Callable[..., Any]) -> Any:
 
         return give
 
-    def choose(first: Any, *rest: Any) -> Callable[..., Any]:
+    def choose(first: Any, *_others: Any) -> Callable[..., Any]:
         return implementations.get(getattr(first, "instance_class", type(None)), statement)
 
     overload(function, jit_options={"nogil": True, "error_model": "numpy"}, strict=False)(choose)

@@ -31,6 +31,17 @@ NETWORK = (
     *("nodes_i", "nodes_y", "nodes_x", "nodes_rim", "traces", "branches", "clusters"),
     *("p20", "p21", "p22", "backbone"),
 )
+# what the flow gives only where the observable is asked for that it belongs to
+ASKED_FOR_BY = {
+    "well_pressure": "well_pressure",
+    "well_rate": "well_pressure",
+    "pressure_change": "well_pressure",
+    "pressure_derivative": "well_pressure",
+    "boundary_flow": "boundary_flow",
+    "probe_pressure": "probe_pressure",
+    "probe_place_x": "probe_pressure",
+    "probe_place_y": "probe_pressure",
+}
 CONFINEMENT = ("confining_stress_achieved", "confining_deviation", "confinement_held")
 
 
@@ -100,15 +111,9 @@ def observe(
         found |= _lowest(history, controls)
         if traces is not None:
             found["fracture_flow_share"] = _share(traces, found, controls)
-        for name, needs in (
-            ("well_pressure", ("well_pressure", "well_rate")),
-            ("well_pressure", ("pressure_change", "pressure_derivative")),
-            ("boundary_flow", ("boundary_flow",)),
-            ("probe_pressure", ("probe_pressure", "probe_place_x", "probe_place_y")),
-        ):
+        for key, name in ASKED_FOR_BY.items():
             if name not in wanted:
-                for key in needs:
-                    found.pop(key, None)
+                found.pop(key, None)
     if responses is not None and reference is not None:
         flows = "boundary_flow" in wanted
         found |= superposed_error(responses, reference, controls, flows=flows)

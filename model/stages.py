@@ -77,7 +77,7 @@ def grain_count(scene: Scene) -> float:
     return max(1.0, scene.region.area / disc)
 
 
-def _nothing(scene: Scene) -> float:
+def _nothing(_scene: Scene) -> float:
     return 0.0
 
 
@@ -166,7 +166,7 @@ def _cement(scene: Scene) -> Bonds | None:
     return scene.bonds.elastic(scene.grains.contact_stiffness)
 
 
-def _always(scene: Scene) -> bool:
+def _always(_scene: Scene) -> bool:
     return True
 
 

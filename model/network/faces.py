@@ -187,7 +187,7 @@ def _contains(px, py, lo, hi, corner_grain, x, y):
 
 
 @kernel
-def crossing_pairs(a, b, x, y, size):
+def crossing_pairs(a, b, x, y, size):  # noqa: C901 (a kernel)
     """Pairs of contacts (pairs, 2) that properly cross each other.
 
     Contacts are sorted into square cells of the given size that their boxes meet; a pair is

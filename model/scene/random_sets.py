@@ -97,7 +97,7 @@ def segments(drawing: Drawing, region: Region) -> tuple[Array, Array]:
         n = drawing.count
         length = draw(drawing.length, lengths, n)
 
-        def centres(k: Array, along: Array) -> Array:
+        def centres(k: Array, along: Array) -> Array:  # noqa: ARG001 (as below)
             return _in_region(region, place, len(k))
 
     else:

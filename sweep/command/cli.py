@@ -88,7 +88,7 @@ def _told(error: Exception) -> str:
     return f"{where}{error.strerror or error}; what was finished is kept"
 
 
-def _interrupt(number: int, frame: FrameType | None) -> None:
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
     raise KeyboardInterrupt
 
 

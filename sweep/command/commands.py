@@ -254,7 +254,7 @@ def clean(options: argparse.Namespace) -> int:
     return GOOD
 
 
-def schema(options: argparse.Namespace) -> int:
+def schema(_options: argparse.Namespace) -> int:
     """Print the JSON Schema of a study."""
     from demflow.sweep.study.schema import study_schema
 

@@ -92,7 +92,7 @@ def execute(
     pool = RemotePool(scheduler) if scheduler is not None else LocalPool(workers, limits.memory)
     judge = Judge(schedule.plan, store, limits)
     lots = Lots(schedule.plan, store, scene_of, table, pool)
-    run = _Execution(ledger, lots, judge, pool, begin)
+    run = _Execution(ledger, lots, judge, pool)
     with silent_loops(), signals_noted() as noted, ThreadPoolExecutor(1, "execution") as thread:
         with kept_from_children():
             done: Future[None] = thread.submit(asyncio.run, run.go())
@@ -135,7 +135,7 @@ class _Worker:
 class _Execution:
     """One pass over a schedule."""
 
-    def __init__(self, ledger: Ledger, lots: Lots, judge: Judge, pool: Pool, begin: float):
+    def __init__(self, ledger: Ledger, lots: Lots, judge: Judge, pool: Pool):
         self.ledger, self.schedule, self.report = ledger, ledger.schedule, ledger.report
         self.lots, self.judge, self.pool, self.blame = lots, judge, pool, Blame()
         self.workers: dict[str, _Worker] = {}  # by address

@@ -233,25 +233,7 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
     begin, cpu = _working_time()
     meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
-    try:
-        product = stage.run(*parents, **task.reads)
-        arrays = {name: canonical(array) for name, array in named(product).items()}
-        if stage.check is not None and (stopped := stage.check(arrays)):
-            meta[STOPPED] = stopped
-    except MemoryError:
-        status, message = Status.OUT_OF_MEMORY, "no memory left; try fewer grains or fewer workers"
-    except OutOfMemory as error:
-        status, message = Status.OUT_OF_MEMORY, str(error)
-    except (ModelError, SceneError) as error:
-        status, message = Status.FAILED, str(error)
-    except Exception as error:  # whatever a stage does must cost this run only
-        if surroundings := _surroundings(error):
-            raise surroundings from error
-        status = Status.FAILED
-        message = f"{type(error).__name__}: {error} ({_place(error)})"
-        meta["traceback"] = traceback.format_exc()
-    else:
-        status, message = Status.DONE, ""
+    status, message, arrays = _ended(stage, parents, task.reads, meta)
     end, cpu_end = _working_time()
     seconds = end - begin
     meta |= {"seconds": seconds, "cpu_seconds": cpu_end - cpu}
@@ -277,6 +259,30 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
     return replace(spent, stored=size)
 
 
+def _ended(
+    stage: Stage, parents: list[Any], reads: Mapping[str, Any], meta: dict[str, Any]
+) -> tuple[Status, str, dict[str, np.ndarray]]:
+    """How a stage ended, with words, and what it made; more about that goes into `meta`."""
+    try:
+        product = stage.run(*parents, **reads)
+        arrays = {name: canonical(array) for name, array in named(product).items()}
+        if stage.check is not None and (stopped := stage.check(arrays)):
+            meta[STOPPED] = stopped
+    except MemoryError:
+        message = "no memory left; try fewer grains or fewer workers"
+        return Status.OUT_OF_MEMORY, message, {}
+    except OutOfMemory as error:
+        return Status.OUT_OF_MEMORY, str(error), {}
+    except (ModelError, SceneError) as error:
+        return Status.FAILED, str(error), {}
+    except Exception as error:  # whatever a stage does must cost this run only
+        if surroundings := _surroundings(error):
+            raise surroundings from error
+        meta["traceback"] = traceback.format_exc()
+        return Status.FAILED, f"{type(error).__name__}: {error} ({_place(error)})", {}
+    return Status.DONE, "", arrays
+
+
 SHORT = 0.99  # share of a limit below which less than the limit was there
 
 
@@ -295,7 +301,7 @@ def _working_time() -> tuple[float, float]:
     )
 
 
-def _bytes(identity: str, arrays: Mapping[str, np.ndarray]) -> int:
+def _bytes(_identity: str, arrays: Mapping[str, np.ndarray]) -> int:
     return sum(array.nbytes for array in arrays.values())
 
 

@@ -46,12 +46,10 @@ def encode(value: Any) -> bytes:
         items = sorted(value.items())
         return _tagged(b"m", b"".join(encode(key) + encode(item) for key, item in items))
     if is_dataclass(value) and not isinstance(value, type):
-        parts = [encode(type(value).__name__)]
-        for field in fields(value):
-            content = getattr(value, field.name)
-            if content is not None:
-                parts += [encode(field.name), encode(content)]
-        return _tagged(b"d", b"".join(parts))
+        contents = {field.name: getattr(value, field.name) for field in fields(value)}
+        given = {name: content for name, content in contents.items() if content is not None}
+        parts = [encode(name) + encode(content) for name, content in given.items()]
+        return _tagged(b"d", encode(type(value).__name__) + b"".join(parts))
     if isinstance(value, np.ndarray) and value.dtype.kind in "biufcU":
         little = np.asarray(value, dtype=value.dtype.newbyteorder("<"), order="C")
         head = f"{little.dtype.str}{little.shape}".encode()

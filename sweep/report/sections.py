@@ -32,7 +32,7 @@ MANY_FAILURES = 12  # more are folded
 MOST_VALUES = 12  # of an axis, listed one by one
 
 # what a reader should see first of how far to trust the numbers: the worst over all cases
-_WORST = (
+_QUALITIES = (
     "mass_balance_error",
     "residual",
     "range_error",
@@ -109,6 +109,29 @@ def axes_table(dataset: xr.Dataset, study: Study) -> str:
 
 def key_numbers(dataset: xr.Dataset) -> str:
     """Ranges over the cases that are done: results first, then what they rest on."""
+    rows = _ranges(dataset)
+    text = grid(("quantity", "unit", "least", "median", "greatest"), rows) if rows else ""
+    worst = _worst(dataset)
+    if worst:
+        text += grid(("quality", "meaning", "worst case"), worst)
+    if "well_pressure" in dataset:
+        below = int(np.count_nonzero(np.nanmin(_by_case(dataset), axis=1, initial=0.0) < 0.0))
+        if below:
+            text += (
+                f"<p>In {below} cases the pressure of a well falls below zero: no liquid bears "
+                "that. The rate is more than the rock yields at this initial pressure.</p>"
+            )
+    if "compute_time" in dataset:
+        seconds = float(dataset["compute_time"].sum())
+        text += (
+            f"<p>The stage runs behind these cases worked for {plain_number(seconds)} s, each "
+            "counted once. Compiling, starting workers and storing come on top.</p>"
+        )
+    return text or "<p>No case has a result yet.</p>"
+
+
+def _ranges(dataset: xr.Dataset) -> list[tuple[object, ...]]:
+    """Name, unit, least, median and greatest of each quantity."""
     rows: list[tuple[object, ...]] = []
     if "permeability" in dataset:
         principal = principal_permeability(dataset["permeability"])
@@ -127,29 +150,18 @@ def key_numbers(dataset: xr.Dataset) -> str:
     for name in _RANGES:
         if name in dataset:
             rows += _range(axis_title(name), dataset[name], CASE[name].unit)
-    worst = []
-    for name in _WORST:
+    return rows
+
+
+def _worst(dataset: xr.Dataset) -> list[tuple[object, ...]]:
+    """Name, meaning and worst value of each measure of quality that any case has."""
+    worst: list[tuple[object, ...]] = []
+    for name in _QUALITIES:
         if name in dataset:
             values = np.asarray(dataset[name].values, dtype=float)
             if np.any(np.isfinite(values)):
                 worst.append((axis_title(name), CASE[name].long_name, float(np.nanmax(values))))
-    text = grid(("quantity", "unit", "least", "median", "greatest"), rows) if rows else ""
-    if worst:
-        text += grid(("quality", "meaning", "worst case"), worst)
-    if "well_pressure" in dataset:
-        below = int(np.count_nonzero(np.nanmin(_by_case(dataset), axis=1, initial=0.0) < 0.0))
-        if below:
-            text += (
-                f"<p>In {below} cases the pressure of a well falls below zero: no liquid bears "
-                "that. The rate is more than the rock yields at this initial pressure.</p>"
-            )
-    if "compute_time" in dataset:
-        seconds = float(dataset["compute_time"].sum())
-        text += (
-            f"<p>The stage runs behind these cases worked for {plain_number(seconds)} s, each "
-            "counted once. Compiling, starting workers and storing come on top.</p>"
-        )
-    return text or "<p>No case has a result yet.</p>"
+    return worst
 
 
 def _by_case(dataset: xr.Dataset) -> np.ndarray:

@@ -212,7 +212,7 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
                 if not reading.spoilt(path):
                     reading.report(reading.place(path), f"{path}: {what}")
     _check_scenes(values, axes, reading, combine=count <= MAX_CASES)
-    _check_figures(blocks["figures"], values, axes, reading)
+    _check_figures(blocks["figures"], values, reading)
     if reading.problems:
         return None
     return Study(
@@ -419,9 +419,7 @@ def setting(axis: Axis, k: int) -> str:
     return f"{axis.name} = {', '.join(shown)}"
 
 
-def _check_figures(
-    figures: Figures, values: dict[str, Any], located: list[Located], reading: Reading
-) -> None:
+def _check_figures(figures: Figures, values: dict[str, Any], reading: Reading) -> None:
     """Figures that the study cannot draw."""
     if figures.maps and not reading.spoilt("figures.maps"):
         place = reading.place("figures.maps")

@@ -122,7 +122,7 @@ def read_map(files: Mapping[str, bytes], *, rings: bool = False) -> MapFile:
     )
 
 
-def _geojson(content: bytes, prj: str, rings: bool) -> Found:
+def _geojson(content: bytes, _prj: str, rings: bool) -> Found:
     try:
         tree = json.loads(content)
     except ValueError as error:
@@ -216,7 +216,7 @@ def _text_of(content: bytes) -> str:
     return content.decode("utf-8-sig", errors="replace")
 
 
-def _csv(content: bytes, prj: str, rings: bool) -> Found:
+def _csv(content: bytes, _prj: str, rings: bool) -> Found:
     text = _text_of(content)
     head = text.lstrip().split("\n", 1)[0]
     delimiter = max(",;\t", key=head.count)
@@ -284,7 +284,7 @@ def _number(text: str) -> float:
         return math.nan
 
 
-def _fracpaq(content: bytes, prj: str, rings: bool) -> Found:
+def _fracpaq(content: bytes, _prj: str, _rings: bool) -> Found:
     found = Found([], [], [])
     for number, line in enumerate(_text_of(content).splitlines(), start=1):
         values = [_number(word) for word in line.split()]

@@ -77,9 +77,7 @@ def read_variants(root: Mapping, reading: Reading) -> VariantAxis | None:
     for key, place in node.keys.items():
         if key not in KEYS:
             reading.report(place, f"axis '{name}' has variants; it takes no '{key}'")
-    points = [
-        _point(root, name, *one, reading) for one in _chosen(name, node, vary.keys[name], reading)
-    ]
+    points = [_point(root, *one, reading) for one in _chosen(name, node, vary.keys[name], reading)]
     if not points:
         return None
     return VariantAxis(name, list(vary.entries).index(name), tuple(points))
@@ -132,9 +130,7 @@ def _chosen(
     return [(key, at, variants.entries[key]) for key, at in names.items()]
 
 
-def _point(
-    root: Mapping, axis: str, name: str, place: Place, node: Node, reading: Reading
-) -> Variant:
+def _point(root: Mapping, name: str, place: Place, node: Node, reading: Reading) -> Variant:
     """One variant; what it cannot override is reported."""
     if isinstance(node, Scalar) and node.empty:
         node = Mapping(node.place, {}, {})

@@ -59,7 +59,7 @@ def stress(packed: Packed, *, stress: Any) -> Loaded:
     return Loaded(packed.x * stress.xx + stress.yy)
 
 
-def flow(
+def flow(  # noqa: C901 (as many ways to end as there are)
     packed: Packed, loaded: Loaded | None, *, rate: float, viscosity: float, times: Any
 ) -> Flowed:
     _note("begins", packed, rate)

@@ -197,7 +197,7 @@ def _postorder(parent, weight):
 
 
 @kernel
-def _column_counts(start, neighbour, parent, post):
+def _column_counts(start, neighbour, parent, post):  # noqa: C901 (a kernel)
     """Count, for each column, the leaves of the row subtrees that hang on it."""
     n = parent.size
     first = np.full(n, -1, np.int32)  # descendant that comes first in the postorder

@@ -70,10 +70,10 @@ def factorise(symbolic: Symbolic, conductance: np.ndarray, excess: np.ndarray) -
 def solve(factor: Factor, rhs: np.ndarray) -> np.ndarray:
     """Solve K x = rhs for one (n,) or several (n, k) right-hand sides."""
     symbolic = factor.symbolic
-    fronts = (symbolic.first, symbolic.row_start, symbolic.row, symbolic.place, symbolic.widest)
+    fronts = (symbolic.first, symbolic.row_start, symbolic.row, symbolic.place)
     x = np.ascontiguousarray(rhs[symbolic.order], dtype=float)
     if x.ndim == 1:
-        _substitute(*fronts, factor.lower, factor.pivot, x)
+        _substitute(*fronts, symbolic.widest, factor.lower, factor.pivot, x)
     else:
         _substitute_several(*fronts, factor.lower, factor.pivot, x)
     return x[symbolic.rank]
@@ -282,7 +282,7 @@ def _substitute(first, row_start, row, place, widest, lower, pivot, x):
 
 
 @kernel
-def _substitute_several(first, row_start, row, place, widest, lower, pivot, x):
+def _substitute_several(first, row_start, row, place, lower, pivot, x):
     """The same for several right-hand sides at once, (n, k)."""
     sides = x.shape[1]
     for s in range(first.size - 1):

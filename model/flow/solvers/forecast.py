@@ -208,7 +208,7 @@ def _course(problem: Problem, source: int, wells: Algebraic) -> Course:
     return Course(decay * share, bend * last / largest if largest > 0.0 else math.inf)
 
 
-def steady_forecast(problem: Problem, course: Course) -> Forecast:
+def steady_forecast(problem: Problem, _course: Course) -> Forecast:
     """One factor, one solve for each source."""
     n = problem.system.n
     each = len(problem.active_sources) * _power(SOLVE, n)

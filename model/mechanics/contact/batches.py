@@ -103,7 +103,7 @@ def touch(w: Array, count: int, law: Law) -> None:
 
 
 @kernel
-def cement(
+def cement(  # noqa: C901 (a kernel)
     w: Array,
     grains: Grains,
     pairs: Pairs,

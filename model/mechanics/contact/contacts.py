@@ -55,7 +55,7 @@ class Sums(NamedTuple):
 
 
 @kernel
-def contact_forces(
+def contact_forces(  # noqa: C901 (a kernel)
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,

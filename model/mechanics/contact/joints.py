@@ -207,7 +207,7 @@ def _joined(one: JointState, two: JointState) -> JointState:
 
 
 @kernel
-def joint_forces(
+def joint_forces(  # noqa: C901 (a kernel)
     grains: Grains,
     joints: JointState,
     box: Array,

@@ -106,7 +106,7 @@ class Run(NamedTuple):
 
 
 @kernel
-def advance(
+def advance(  # noqa: C901 (a kernel)
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,

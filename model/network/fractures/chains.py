@@ -40,7 +40,7 @@ def chain_along(network: Network, line: Line) -> Chain:
     region gives an empty chain.
     """
     domain, pipe, crossing = _walk(network, line)
-    run = _inside_run(network, domain, crossing, line)
+    run = _inside_run(network, domain)
     if run is None:
         none = np.empty(0, dtype=np.int64)
         return Chain(none, np.empty(0), np.empty(0), none, (-1, -1), line.length)
@@ -110,7 +110,7 @@ def _walk(network: Network, line: Line) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 @kernel
-def _follow(
+def _follow(  # noqa: C901 (a kernel)
     first_pipe, high, where, plus, corner_start, corner_grain, corner_pipe, left, right, bound
 ):
     """Walk along the line from the pore behind `first_pipe`, keeping plus grains to the left."""
@@ -165,9 +165,7 @@ def _follow(
     return domain[: count + 1].copy(), pipe[:count].copy()
 
 
-def _inside_run(
-    network: Network, domain: np.ndarray, crossing: np.ndarray, line: Line
-) -> tuple[int, int] | None:
+def _inside_run(network: Network, domain: np.ndarray) -> tuple[int, int] | None:
     """First and last position of the longest unbroken stretch of pores inside the region."""
     if len(domain) == 0:
         return None
