@@ -4,7 +4,7 @@ BIN := .venv/bin
 NAME ?=
 PROCESSES ?= auto
 
-.PHONY: demo test quick coverage lint format bench peers clean
+.PHONY: demo test quick coverage docs lint format bench peers clean
 .DEFAULT_GOAL := demo
 
 .venv/ready: requirements.txt pyproject.toml
@@ -26,6 +26,10 @@ quick: .venv/ready  ## laws and units: what answers within a minute
 
 coverage: .venv/ready  ## all tests, and the lines of demflow that none of them reaches
 	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal --cov=demflow --cov-report=term:skip-covered
+
+docs: .venv/ready  ## the reference pages anew, and all pages as HTML in build/docs
+	$(BIN)/python docs/reference.py
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 
 lint: .venv/ready  ## style, imports and types
 	$(BIN)/ruff check .

@@ -44,7 +44,7 @@ INTERRUPTED = 130
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     ready()
-    options = _parser().parse_args(arguments)
+    options = parser().parse_args(arguments)
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
         status: int = options.command(options)
@@ -110,7 +110,8 @@ def _address(text: str) -> str:
     return text
 
 
-def _parser() -> argparse.ArgumentParser:
+def parser() -> argparse.ArgumentParser:
+    """What the command line takes."""
     parser = argparse.ArgumentParser(
         prog="demflow",
         description="Parameter sweeps of flow in fractured rock: from a study file to a dataset.",

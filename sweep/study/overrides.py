@@ -13,6 +13,7 @@ from demflow.sweep.study.units import nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Place, Problem, Scalar, Sequence
 
 _SPACING = ("from", "to", "count", "spacing")
+_UNWRITTEN = ("solver", "limits", "figures", "expect")  # a study without one has it all the same
 
 
 def overlaid(
@@ -35,6 +36,8 @@ def overlaid(
             problems.append(Problem(*place, f"{what} cannot override '{path}' as a whole"))
             continue
         within = parts if parts[0] in (*BESIDE_SCENE, "title") else ["scene", *parts]
+        if parts[0] in _UNWRITTEN and parts[0] not in root.entries:
+            root = _put(root, parts[:1], Mapping(place, {}, {}), place)
         try:
             root = _put(root, within, node, place)
         except _Missing as missing:

@@ -10,7 +10,7 @@ from study_text import broken, load, place_of, problems
 from demflow import sweep
 from demflow.model.outcome import Status
 from demflow.model.quantities import CASE
-from demflow.model.scene import Circle, Rectangle
+from demflow.model.scene import Circle, Rectangle, Solver
 from demflow.sweep.command.cli import main
 from demflow.sweep.study.cases import case_at, coordinates
 from demflow.sweep.study.expect import DEFAULTS, Expectation, beyond_bounds, ends_as_expected
@@ -56,6 +56,14 @@ def test_a_variant_replaces_blocks_and_single_values(tmp_path):
     assert varied.grains.packing == "square"
     assert (boxed.solver.method, wild.solver.method) == ("krylov", "explicit")
     assert wild.solver.safety_factor == 2.1
+
+
+def test_a_variant_sets_what_the_study_leaves_to_its_defaults(tmp_path):
+    text = STUDY.replace("solver: {method: krylov}\n", "")
+    text = text.replace("        grains.count: 200\n", "        solver.tolerance: 1e-7\n")
+    study = load(tmp_path, text)
+    tolerances = [case_at(study, (0, k)).scene.solver.tolerance for k in range(3)]
+    assert tolerances == [Solver().tolerance, 1e-7, Solver().tolerance]
 
 
 def test_other_axes_move_numbers_in_every_variant_wherever_they_stand(tmp_path):

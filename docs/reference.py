@@ -1,0 +1,387 @@
+"""Write the reference pages from the tables that the program itself uses.
+
+`python docs/reference.py` writes `docs/reference/study.md` (every key of a study: the grammar that
+reads it, and the stages whose results depend on it), `dataset.md` (every variable of a dataset) and
+`commands.md` (the command line). A test holds the pages to the tables.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import os
+import sys
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from demflow.model import quantities
+from demflow.model.scene import OBSERVABLES, Scene
+from demflow.model.stages import STAGES
+from demflow.sweep.command import cli
+from demflow.sweep.study import load as study_file
+from demflow.sweep.study.blocks import Block, Forms, Law, Listed, Member, Named, OneOf, Words
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.expect import EXPECT
+from demflow.sweep.study.load import load_study
+from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, WordOr
+from demflow.sweep.study.schema import study_schema
+from demflow.sweep.study.sections import Parameter, Section
+from demflow.sweep.study.units import example
+
+FOLDER = Path(__file__).parent / "reference"
+STUDIES = (*Path(__file__).parents[1].glob("studies/*.yaml"), *Path(__file__).parent.glob("*.yaml"))
+
+_BOUNDS = {"above": ">", "at_least": "≥", "below": "<", "at_most": "≤"}
+_HEAD = "| key | value | default | meaning | read by |\n|---|---|---|---|---|\n"
+
+
+class Readers:
+    """Which stages read which field of a scene, found by handing them scenes that watch."""
+
+    def __init__(self) -> None:
+        self.fields: dict[tuple[str, str], set[str]] = {}  # (class, field) -> stages
+        self._stage = ""
+        for path in sorted(STUDIES):
+            study = load_study(path, smoke=True)
+            for index in _some(study.shape):
+                self._watch(case_at(study, index).scene)
+
+    def of(self, cls: type, name: str) -> str:
+        """The stages that read a field, in the order in which they run."""
+        found = self.fields.get((cls.__qualname__, name), set())
+        return ", ".join(f"*{s.name}*" for s in STAGES if s.name in found)
+
+    def _watch(self, scene: Scene) -> None:
+        watched = self._watching(scene)
+        for stage in STAGES:
+            if stage.wanted(scene):
+                self._stage = stage.name
+                for part in stage.reads.values():
+                    self._whole(part(watched))
+                if stage.legs is not None:
+                    self._whole(stage.legs(watched))
+
+    def _whole(self, value: Any) -> None:
+        """A part that a stage is given as it is: it may read all of it."""
+        if dataclasses.is_dataclass(value):
+            for declared in dataclasses.fields(value):
+                self._whole(getattr(value, declared.name))
+        elif isinstance(value, tuple):
+            for one in value:
+                self._whole(one)
+
+    def _watching(self, value: Any) -> Any:
+        """A copy that notes what is read of it."""
+        if isinstance(value, tuple) and type(value) is tuple:
+            return tuple(self._watching(one) for one in value)
+        if not dataclasses.is_dataclass(value) or isinstance(value, type):
+            return value
+        copy = object.__new__(self._class(type(value)))
+        for declared in dataclasses.fields(value):
+            inner = self._watching(getattr(value, declared.name))
+            object.__setattr__(copy, declared.name, inner)
+        return copy
+
+    @functools.cache  # noqa: B019 (one for a whole run)
+    def _class(self, cls: type) -> type:
+        names = {declared.name for declared in dataclasses.fields(cls)}
+
+        def noted(instance: Any, name: str) -> Any:
+            if name in names:
+                self.fields.setdefault((cls.__qualname__, name), set()).add(self._stage)
+            return object.__getattribute__(instance, name)
+
+        return type(cls.__name__, (cls,), {"__getattribute__": noted, "__slots__": ()})
+
+
+def _some(shape: tuple[int, ...]) -> Iterator[tuple[int, ...]]:
+    """Cases in which each value of each axis stands once at least."""
+    for k in range(max(shape, default=1)):
+        yield tuple(min(k, count - 1) for count in shape)
+
+
+class StudyPage:
+    """Every block of a study with its keys."""
+
+    def __init__(self) -> None:
+        self.readers = Readers()
+        self.parts: list[str] = []
+        self.documented: dict[tuple[type, tuple[str, ...]], str] = {}  # -> its heading
+
+    def text(self) -> str:
+        """The page."""
+        self._study()
+        self._block("scene", SCENE.without("observe", "solver"))
+        self._observe()
+        for key in ("solver",):
+            self._section(key, SCENE.members[key].section)
+        for key, block in (
+            ("limits", study_file.LIMITS),
+            ("figures", study_file.FIGURES),
+            ("expect", EXPECT),
+        ):
+            self._block(key, block)
+        return "\n".join(self.parts)
+
+    def _study(self) -> None:
+        schema = study_schema()
+        rows = [f"| `{key}` | {_described(one)} |\n" for key, one in schema["properties"].items()]
+        self.parts.append(
+            "# Keys of a study\n\n"
+            "Written from the grammar that reads studies; `demflow check` holds a file to it, "
+            "and `demflow schema` gives the same to editors. A quantity carries its unit "
+            "(`5 mD`, `7 MPa`, `20 deg`, `1 bbl/day`); the unit in the tables is that of a bare "
+            "number. *Read by* names the stages that run anew where the value changes; a value "
+            "without one changes what is made of their results. What a key may hold can be varied: "
+            "its path below `scene` is the `parameter` of an axis.\n\n"
+            "| key | meaning |\n|---|---|\n" + "".join(rows) + _VARY
+        )
+
+    def _observe(self) -> None:
+        rows = []
+        for word, stages in OBSERVABLES.items():
+            gives = [
+                f"`{name}`" for name, one in {**quantities.CASE, **quantities.MAPS}.items()
+                if word in one.needs
+            ]  # fmt: skip
+            run = ", ".join(f"*{one}*" for one in stages)
+            rows.append(f"| `{word}` | {', '.join(gives)} | {run} |\n")
+        self.parts.append(
+            "## observe\n\nA list of what is wanted; it decides what is run.\n\n"
+            "| word | variables that it adds | stages that it needs |\n|---|---|---|\n"
+            + "".join(rows)
+        )
+
+    def _section(self, path: str, section: Section, note: str = "", readers: str = "") -> None:
+        """The blocks that stand below a place, `readers` those of the place as a whole."""
+        if isinstance(section, Block):
+            self._block(path, section, note, readers)
+        for suffix, inner, told in _inside(section):
+            if not isinstance(inner, Parameter):
+                told = ", ".join(one for one in (note, told) if one)
+                self._section(f"{path}{suffix}", inner, told, readers)
+
+    def _block(self, path: str, block: Block, note: str = "", readers: str = "") -> None:
+        """A block, once, however many places it may stand at."""
+        title = f"{path} {note}".strip()
+        kind = (block.cls, tuple(block.members))
+        if kind in self.documented:
+            return
+        self.documented[kind] = title
+        document = (block.cls.__doc__ or "").strip().splitlines()
+        rows = [self._row(key, one, block.cls, readers) for key, one in block.members.items()]
+        self.parts.append(
+            f"## {title}\n\n{_prose(document[0] if document else '')}\n\n{_HEAD}{''.join(rows)}"
+        )
+        for key, member in block.members.items():
+            of = self.readers.of(block.cls, member.name) or readers
+            self._section(f"{path}.{key}", member.section, readers=of)
+
+    def _row(self, key: str, member: Member, cls: type, readers: str) -> str:
+        parameter = _parameter(member.section)
+        default = "*required*" if member.required else ""
+        if parameter is not None and not member.required:
+            default = _shown(parameter.declared.default)
+        told = _prose(parameter.help) if parameter is not None else ""
+        read = self.readers.of(cls, member.name) or readers
+        return f"| `{key}` | {_value(member.section)} | {default} | {told} | {read} |\n"
+
+
+_VARY = """
+## vary
+
+Each key is an axis, a dimension of the dataset; axes multiply.
+
+| form | keys |
+|---|---|
+| listed values | `parameter`, `values` |
+| a range | `parameter`, `from`, `to`, `count`, `spacing: linear` or `log` |
+| several together | `parameters`, `values`: a list for each parameter, or one of lists |
+| other scenes | `variants`: name → overrides of the scene; `values`: those to take, in order |
+"""
+
+
+def _parameter(section: Section) -> Parameter | None:
+    """The parameter that a section reads where one value is given."""
+    if isinstance(section, Parameter):
+        return section
+    for name in ("number", "value", "listed", "inner"):
+        inner = getattr(section, name, None)
+        if isinstance(inner, Parameter):
+            return inner
+    if isinstance(section, MapFiles):
+        return Parameter(section.declared, str, optional=False)
+    return None
+
+
+def _value(section: Section) -> str:
+    """What may be written there."""
+    for kinds, text in _BELOW.items():
+        if isinstance(section, kinds) and not isinstance(
+            getattr(section, "inner", None), Parameter
+        ):
+            return text
+    parameter = _parameter(section)
+    if parameter is None:
+        raise TypeError(f"no reference for {type(section).__name__}")
+    text = _form(parameter)
+    if isinstance(section, WordOr):
+        return " or ".join([*(f"`{one}`" for one in section.words), text])
+    if isinstance(section, Named):
+        return f"{text} for each name"
+    if isinstance(section, InitialForms):
+        text += f", `{section.word}`"
+    return text if isinstance(section, Parameter) else f"{text}, or a block, below"
+
+
+_BELOW: dict[Any, str] = {
+    Block | OneOf | Forms: "a block, below",
+    Named: "blocks by names of your own, below",
+    Listed: "a list of blocks, below",
+    Words: "a list of words",
+    ProbeForms: "a block, below",
+    MapFiles: "path of a file, relative to the study",
+}
+
+
+def _inside(section: Section) -> Iterator[tuple[str, Section, str]]:
+    """What stands in a section that is no block: what its path adds, it, and which form it is."""
+    if isinstance(section, OneOf):
+        for word, block in section.blocks.items():
+            yield "", block, f"with `{section.tag}: {word}`"
+    elif isinstance(section, Forms):
+        for number, block in enumerate(section.blocks):
+            yield "", block, f"form {number + 1} of {len(section.blocks)}"
+    elif isinstance(section, Named | Listed):
+        yield ".NAME" if isinstance(section, Named) else "[]", section.inner, ""
+    elif isinstance(section, Law):
+        for word, block in section.laws.items():
+            yield "", block, f"a law with `{word}`"
+    else:
+        for name, told in _FORMS.items():
+            if hasattr(section, name):
+                yield "", getattr(section, name), told
+
+
+_FORMS = {
+    "spaced": "evenly in the logarithm",
+    "point": "at a point",
+    "line": "along a line",
+    "field": "a linear field",
+}
+
+
+def _form(parameter: Parameter) -> str:
+    """The kind, unit and bounds of a value."""
+    if parameter.choices:
+        return " or ".join(f"`{one}`" for one in parameter.choices)
+    meta = parameter.declared.metadata
+    bounds = " and ".join(
+        f"{sign} {meta[word]:g}" for word, sign in _BOUNDS.items() if meta.get(word) is not None
+    )
+    return ", ".join(one for one in (_kind(parameter.type, parameter.unit), bounds) if one)
+
+
+def _kind(kind: Any, unit: str) -> str:
+    arguments = typing.get_args(kind)
+    if arguments and arguments[-1] is Ellipsis:
+        return f"list of {_kind(arguments[0], unit)}"
+    if arguments:
+        units = unit.split(", ")
+        units = units if len(units) == len(arguments) else [unit] * len(arguments)
+        return f"`[{', '.join(example(one) for one in units)}]`"
+    plain = {str: "text", bool: "`true` or `false`", int: "whole number"}
+    if kind in plain:
+        return plain[kind]
+    return "number" if unit == "1" else f"{unit}, as `{example(unit)}`"
+
+
+def _shown(default: Any) -> str:
+    if default is None or default is dataclasses.MISSING:
+        return ""
+    if isinstance(default, bool):
+        return f"`{str(default).lower()}`"
+    return f"`{default:g}`" if isinstance(default, int | float) else f"`{default}`"
+
+
+def _described(schema: Any) -> str:
+    return _prose(schema.get("description", ""))
+
+
+def _prose(text: str) -> str:
+    """A text inside a cell of a table."""
+    return text.replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
+
+
+def dataset_page() -> str:
+    """Every variable that a result can hold."""
+    parts = [
+        "# Variables of a dataset\n\n"
+        "`dataset.nc`, and what `demflow.open_results` returns: one value or array per case; the "
+        "axes of the study come before the dimensions named here. *Observed* names the words of "
+        "`observe` that bring a variable; one without is always there, where its stage ran.\n"
+    ]
+    for title, table in (
+        ("Of each case", quantities.CASE),
+        ("Of the run", quantities.SWEEP),
+        ("Of each case, as many as it has", quantities.RAGGED),
+        ("Coordinates", quantities.COORDINATES),
+        ("Of one case: `demflow.open_case`", quantities.MAPS),
+    ):
+        rows = [_quantity_row(name, one) for name, one in table.items()]
+        parts.append(
+            f"## {title}\n\n| variable | unit | dimensions | meaning | observed |\n"
+            f"|---|---|---|---|---|\n{''.join(rows)}"
+        )
+    return "\n".join(parts)
+
+
+def _quantity_row(name: str, one: quantities.Quantity) -> str:
+    told = _prose(one.long_name + (f" ({one.comment})" if one.comment else ""))
+    needs = ", ".join(f"`{word}`" for word in one.needs)
+    dimensions = ", ".join(f"`{word}`" for word in one.dimensions)
+    return f"| `{name}` | {one.unit} | {dimensions} | {told} | {needs} |\n"
+
+
+def commands_page() -> str:
+    """The command line."""
+    os.environ["COLUMNS"] = "100"  # what help is folded to
+    parser = cli.parser()
+    (commands,) = (
+        action for action in parser._actions if hasattr(action, "choices") and action.choices
+    )
+    parts = [f"# Commands\n\n```text\n{parser.format_help().strip()}\n```\n"]
+    for name, one in commands.choices.items():
+        parts.append(f"## demflow {name}\n\n```text\n{one.format_help().strip()}\n```\n")
+    return "\n".join(parts)
+
+
+def pages() -> dict[str, str]:
+    """The text of each page by its file's name."""
+    return {
+        "study.md": StudyPage().text(),
+        "dataset.md": dataset_page(),
+        "commands.md": commands_page(),
+    }
+
+
+def main() -> int:
+    """Write the pages; with `--check` say which are not as they would be."""
+    stale = []
+    FOLDER.mkdir(exist_ok=True)
+    for name, content in pages().items():
+        path = FOLDER / name
+        if not path.is_file() or path.read_text(encoding="utf-8") != content:
+            stale.append(name)
+            if "--check" not in sys.argv:
+                path.write_text(content, encoding="utf-8")
+    if stale and "--check" in sys.argv:
+        print(f"not as the tables have it: {', '.join(stale)}; `make docs` writes them anew")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

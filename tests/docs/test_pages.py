@@ -1,0 +1,164 @@
+"""The pages say what the program does: blocks run, references are those of the tables."""
+
+from __future__ import annotations
+
+import copy
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from demflow.model import quantities
+from demflow.sweep.command import cli
+from demflow.sweep.study.load import KEYS
+from demflow.sweep.study.scene import SCENE
+from demflow.sweep.study.schema import study_schema
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+PAGES = (ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("reference/*.md")))
+
+# what a part of a study is tried in
+AROUND = """
+study: around
+scene:
+  region: {shape: circle, radius: 12 m}
+  grains: {count: 300, porosity: 0.17, seed: 1}
+  matrix: {permeability: 5 mD}
+  fluid: {viscosity: 1 cP, bulk_modulus: 2.2 GPa}
+  wells: {producer: {at: [0 m, 0 m], radius: 0.5 m, rate: 1e-6 m3/s}}
+  boundaries: {outer: 20 MPa}
+  initial_pressure: 20 MPa
+  times: {first: 10 s, last: 1e5 s, per_decade: 5}
+observe: [well_pressure]
+"""
+
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+ELSEWHERE = "dask_jobqueue"  # what a machine of another kind would need
+
+
+def _blocks(page: Path, language: str) -> list[str]:
+    return [text for word, text in BLOCK.findall(page.read_text()) if word == language]
+
+
+def _named(pages: tuple[Path, ...], language: str) -> list[object]:
+    return [
+        pytest.param(text, id=f"{page.name}-{number}")
+        for page in pages
+        for number, text in enumerate(_blocks(page, language))
+    ]
+
+
+def _study(text: str) -> dict[str, object]:
+    """A block as a whole study: as it is, or put into one where it is a part."""
+    part = yaml.safe_load(text)
+    if "study" in part:
+        return part
+    study = yaml.safe_load(AROUND)
+    for key, value in copy.deepcopy(part).items():
+        if key in KEYS:
+            study[key] = value
+        else:
+            assert key in SCENE.members, f"{key} is no key of a study, nor of a scene"
+            study["scene"][key] = value
+    return study
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A folder in which pages are followed, with the maps that they name."""
+    shutil.copytree(ROOT / "studies" / "maps", tmp_path / "maps")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("text", _named(PAGES, "yaml"))
+def test_blocks_of_studies_are_valid(text, folder, capsys):
+    path = folder / "study.yaml"
+    path.write_text(yaml.safe_dump(_study(text), sort_keys=False))
+    status = cli.main(["check", str(path)])
+    assert status == 0, capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_the_tutorial_can_be_followed(folder):
+    """Each block in turn, as a reader would: studies saved, commands given, Python typed."""
+    page = DOCS / "tutorial.md"
+    names: dict[str, object] = {}
+    for language, text in BLOCK.findall(page.read_text()):
+        if language == "yaml":
+            name = re.search(r"^study: (\S+)", text, re.MULTILINE)
+            (folder / f"{name[1]}.yaml").write_text(text)
+        elif language == "sh":
+            for line in text.strip().splitlines():
+                command = shlex.split(line)
+                assert command[0] == "demflow"
+                done = subprocess.run(
+                    [sys.executable, "-m", *command], capture_output=True, text=True
+                )
+                assert done.returncode == 0, done.stderr
+        elif language == "python":
+            exec(compile(text, str(page), "exec"), names)
+    assert (folder / "results" / "tutorial" / "report.html").is_file()
+    assert (folder / "drawdown.png").stat().st_size > 10_000
+    along, across = names["along"], names["across"]
+    ratio = (along / across).sel(angle=[0, 90]).values
+    assert ratio[0] > 1.0 > ratio[1]
+    # the page goes on as others do, with what this one left
+    for text in _blocks(DOCS / "how-to.md", "python"):
+        exec(compile(text, "how-to.md", "exec"), {})
+
+
+@pytest.mark.parametrize("text", _named(PAGES, "python"))
+def test_blocks_of_python_can_be_read(text):
+    compile(text, "block", "exec")
+
+
+def _keys(schema: object) -> set[str]:
+    """Every key that a study may have, by what the schema for editors holds."""
+    if isinstance(schema, list):
+        return set().union(*map(_keys, schema)) if schema else set()
+    if not isinstance(schema, dict):
+        return set()
+    found = set(schema.get("properties", {}))
+    return found.union(*(_keys(one) for key, one in schema.items() if key not in ("if", "then")))
+
+
+def test_every_key_of_a_study_is_documented():
+    page = (DOCS / "reference" / "study.md").read_text()
+    missing = {key for key in _keys(study_schema()) if f"`{key}`" not in page}
+    assert not missing - {"shape", "kind"}  # they stand in the headings of what they choose
+
+
+def test_every_variable_is_documented():
+    page = (DOCS / "reference" / "dataset.md").read_text()
+    for table in (quantities.CASE, quantities.SWEEP, quantities.RAGGED, quantities.MAPS):
+        assert not [name for name in table if f"| `{name}` |" not in page]
+
+
+def test_reference_pages_are_those_of_the_tables():
+    """`make docs` writes them anew."""
+    done = subprocess.run(
+        [sys.executable, str(DOCS / "reference.py"), "--check"], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_pages_build_without_a_warning(tmp_path):
+    """All links inside the pages lead somewhere, and no page is left out."""
+    done = subprocess.run(
+        [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-E", "-d", tmp_path / "trees",
+         DOCS, tmp_path / "html"],
+        capture_output=True,
+        text=True,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    html = (tmp_path / "html" / "index.html").read_text()
+    loaded = re.findall(r'<(?:script|link|img)[^>]+(?:src|href)="(https?:[^"]+)"', html)
+    assert not loaded
