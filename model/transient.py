@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 
 SMOOTHING = 0.1  # L, the window of the Bourdet derivative on each side, natural-log units
 
+ABSCISSAE = ("equivalent", "elapsed", "superposition")
+
 # A neighbour this many natural-log units away, and so many times farther than the one on the
 # other side, lies across a gap: the slope to it says nothing of the point.
 GAP, UNEVEN = 1.0, 4.0
@@ -71,21 +73,38 @@ def pressure_change(
     return change
 
 
-def log_time(times: ArrayLike, rate_changes: Sequence[tuple[float, float]]) -> np.ndarray:
+def log_time(
+    times: ArrayLike,
+    rate_changes: Sequence[tuple[float, float]],
+    by: str = "equivalent",
+) -> np.ndarray:
     """Abscissa x by which the derivative of each flow period is taken, (t,).
 
-    While a well flows, ln Δt of the time since its last rate change. While it is shut in, the
-    logarithm of the equivalent time, ln Δt − Σ (Δqᵢ / q) ln((t − tᵢ) / (t_k − tᵢ)) over the
-    changes Δqᵢ at tᵢ before the shut-in at t_k, q the rate just before it: after one rate that is
-    t_p Δt / (t_p + Δt) (Agarwal 1980, SPE 9289), by which a build-up in radial flow is a straight
-    line of the drawdown's slope. Where rates of both signs make it fall somewhere, ln Δt too. NaN
-    before the first period.
+    `elapsed`
+        ln Δt of the time since the last rate change.
+    `superposition`
+        ln Δt + Σ (Δqᵢ / Δq_k) ln((t − tᵢ) / (t_k − tᵢ)) over the changes Δqᵢ at tᵢ before the last
+        one, Δq_k at t_k: by it every period of a well in radial flow is a straight line of the
+        drawdown's slope, whatever the rates before.
+    `equivalent`
+        the same while the well is shut in, ln Δt while it flows: after one rate it is the
+        logarithm of t_p Δt / (t_p + Δt) (Agarwal 1980, SPE 9289).
+
+    A period in which the sum falls somewhere, as it does when a small change follows a large
+    one of the other sign, has no such abscissa and takes ln Δt. NaN before the first period.
 
     Parameters
     ----------
     times : (t,) s, increasing.
     rate_changes : (time in s, new rate in m³/s) in order, as for `flow_periods`.
+    by : equivalent, elapsed or superposition.
+
+    Raises
+    ------
+    ValueError : another word.
     """
+    if by not in ABSCISSAE:
+        raise ValueError(f"{by!r} is none of {', '.join(ABSCISSAE)}")
     times = np.asarray(times, dtype=float)
     start, rate = np.asarray(rate_changes, dtype=float).reshape(-1, 2).T
     step = np.diff(rate, prepend=0.0)
@@ -95,11 +114,11 @@ def log_time(times: ArrayLike, rate_changes: Sequence[tuple[float, float]]) -> n
     for k in range(len(start)):
         now = period == k
         x[now] = np.log(times[now] - start[k])
-        if rate[k] == 0.0:
+        if by == "superposition" or (by == "equivalent" and rate[k] == 0.0):
             since, before = times[now][:, None] - start[:k], start[k] - start[:k]
-            equivalent = x[now] - np.log(since / before) @ (step[:k] / rate[k - 1])
-            if np.all(np.diff(equivalent) > 0.0):
-                x[now] = equivalent
+            superposed = x[now] + np.log(since / before) @ (step[:k] / step[k])
+            if np.all(np.diff(superposed) > 0.0):
+                x[now] = superposed
     return x
 
 

@@ -190,6 +190,39 @@ def test_rates_of_both_signs_leave_the_time_as_it_is():
     assert np.all(np.diff(x) > 0.0)
 
 
+@pytest.mark.parametrize(
+    "rate_changes",
+    [
+        ((0.0, 1.0), (1e3, 2.5)),
+        ((0.0, 1.0), (2e2, 0.0), (6e2, 1.6), (1e3, 0.4)),
+        ((0.0, 1.0), (4e2, 2.0), (1e3, 0.0)),
+    ],
+)
+def test_by_superposition_every_period_shows_the_slope_of_the_drawdown(rate_changes):
+    """What the last change of rate does by itself, however long it lasts."""
+    times = 1e3 + np.geomspace(1e-2, 1e3, 101)
+    start, sign = flow_periods(rate_changes)
+    at_start = -radial(rate_changes, start)
+    change = pressure_change(times, -radial(rate_changes, times), start, at_start, sign)
+    x = log_time(times, rate_changes, "superposition")
+    slope = bourdet_derivative(times, change, start, x=x)
+    step = abs(rate_changes[-1][1] - rate_changes[-2][1])
+    np.testing.assert_allclose(slope, step * RADIAL, rtol=1e-6)
+
+
+def test_the_abscissae_differ_where_they_should():
+    times = 50.0 + np.geomspace(1e-3, 1e2, 30)
+    flowing, shut = [(0.0, 1.0), (50.0, 1.5)], [(0.0, 1.0), (50.0, 0.0)]
+    by = {word: log_time(times, flowing, word) for word in ("equivalent", "elapsed")}
+    np.testing.assert_array_equal(by["equivalent"], by["elapsed"])
+    assert np.all(log_time(times, flowing, "superposition") > by["elapsed"])
+    closed = log_time(times, shut, "superposition")
+    np.testing.assert_array_equal(closed, log_time(times, shut))
+    np.testing.assert_array_equal(log_time(times, shut, "elapsed"), np.log(times - 50.0))
+    with pytest.raises(ValueError, match="none of equivalent, elapsed, superposition"):
+        log_time(times, shut, "horner")
+
+
 @pytest.mark.parametrize("power", [1.0, 0.5])
 def test_a_gap_in_the_times_leaves_the_slope_beside_it(power):
     """Three decades without a time; the points before and after know their own side."""

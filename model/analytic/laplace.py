@@ -27,7 +27,7 @@ def _contour(nodes: int) -> tuple[np.ndarray, np.ndarray]:
     return z, 2.0 / (1j * nodes) * np.exp(z) * slope
 
 
-def invert(transform: Transform, time: ArrayLike) -> np.ndarray:
+def invert(transform: Transform, time: ArrayLike, nodes: int = NODES) -> np.ndarray:
     """Value at each time of a function given by its Laplace transform.
 
     f(t) = 1/(2πi) ∫ e^{st} F(s) ds on Talbot's contour, by the midpoint rule. For
@@ -38,6 +38,7 @@ def invert(transform: Transform, time: ArrayLike) -> np.ndarray:
     ----------
     transform : F(s) for complex s of shape (..., k), where (...) is the shape of `time`.
     time : times above zero, any shape.
+    nodes : of the contour; the relative error is some 3.9^−nodes.
 
     Raises
     ------
@@ -46,6 +47,6 @@ def invert(transform: Transform, time: ArrayLike) -> np.ndarray:
     time = np.asarray(time, dtype=float)
     if not np.all(time > 0):
         raise ValueError("a Laplace transform can be inverted only at times above zero")
-    z, weight = _contour(NODES)
+    z, weight = _contour(nodes)
     values = transform(z / time[..., None])
     return np.real(np.sum(weight * values, axis=-1)) / time

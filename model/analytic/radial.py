@@ -139,6 +139,27 @@ def bounded_transform(R: ArrayLike, R_De: float) -> Transform:
     return transform
 
 
+def closed_transform(R: ArrayLike, R_De: float) -> Transform:
+    """p̄_D(s) around a well at constant rate, no flow through R_De, in units of q μ / (2π k).
+
+    s^{3/2} p̄_D = (K0(qR) I1(qE) + I0(qR) K1(qE)) / (K1(q) I1(qE) − I1(q) K1(qE)), q = √s,
+    E = R_De: van Everdingen & Hurst (1949), Trans. AIME 186.
+    """
+    R = np.asarray(R, dtype=float)
+
+    def transform(s: np.ndarray) -> np.ndarray:
+        q = np.sqrt(s)
+        grow = q.real
+        direct = ive(1, q * R_De) * _kve(0, q * R) * np.exp(-q * (R - 1.0))
+        image = np.exp(-q * (R_De - 1.0) - grow * (R_De - R))
+        reflected = _kve(1, q * R_De) * ive(0, q * R) * image
+        far_image = np.exp(-q * (R_De - 1.0) - grow * (R_De - 1.0))
+        at_well = _kve(1, q) * ive(1, q * R_De) - ive(1, q) * _kve(1, q * R_De) * far_image
+        return (direct + reflected) / (at_well * s * q)
+
+    return transform
+
+
 def unbounded_transform(R: ArrayLike) -> Transform:
     """p̄_D(s) = K0(R √s) / (s^{3/2} K1(√s)) around a well at constant rate, no boundary.
 
