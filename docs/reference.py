@@ -25,7 +25,7 @@ from demflow.sweep.study.blocks import Block, Forms, Law, Listed, Member, Named,
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.expect import EXPECT
 from demflow.sweep.study.load import load_study
-from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, WordOr
+from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
 from demflow.sweep.study.schema import study_schema
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import example
@@ -158,6 +158,8 @@ class StudyPage:
         """The blocks that stand below a place, `readers` those of the place as a whole."""
         if isinstance(section, Block):
             self._block(path, section, note, readers)
+        if not isinstance(section, Named | Times | ProbeForms):
+            readers = ""  # a block is noted itself; these forms make something else of theirs
         for suffix, inner, told in _inside(section):
             if not isinstance(inner, Parameter):
                 told = ", ".join(one for one in (note, told) if one)
@@ -176,8 +178,9 @@ class StudyPage:
             f"## {title}\n\n{_prose(document[0] if document else '')}\n\n{_HEAD}{''.join(rows)}"
         )
         for key, member in block.members.items():
-            of = self.readers.of(block.cls, member.name) or readers
-            self._section(f"{path}.{key}", member.section, readers=of)
+            of = self.readers.of(block.cls, member.name)
+            plain = isinstance(member.section, Block)
+            self._section(f"{path}.{key}", member.section, readers="" if plain else of)
 
     def _row(self, key: str, member: Member, cls: type, readers: str) -> str:
         parameter = _parameter(member.section)
