@@ -16,6 +16,7 @@ class Status(IntEnum):
     NOT_RUN = 5
     STOPPED = 6  # early; what came before is kept
     INACCURATE = 7  # its numbers are there, but beyond the bounds of a good result
+    LEFT_OUT = 8  # no case of the study: its `where` does not hold
 
 
 class ModelError(RuntimeError):

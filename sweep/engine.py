@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from demflow.sweep.dataset.verdict import Verdict
     from demflow.sweep.execution.ledger import Executed
 
-COLLECTOR = 4  # raise it whenever the dataset made of the same products changes
+COLLECTOR = 5  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
 
@@ -275,7 +275,7 @@ def _finished(prepared: Project, verdicts: list[Verdict]) -> Finished:
     dataset = prepared.folder / DATASET_FILE
     return Finished(
         folder=prepared.folder,
-        cases=len(verdicts),
+        cases=prepared.plan.count,
         failed=int(np.count_nonzero(bad)),
         inaccurate=int(np.count_nonzero(bad & off)),
         missing=sum(v.status is Status.NOT_RUN for v in verdicts),

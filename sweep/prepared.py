@@ -79,7 +79,8 @@ class Project:
         limits = in_force(self.study.limits, workers)
         left = self.plan.to_run(stored, self.failed(stored, limits))
         waits = np.append(left, False)[self.plan.cases].any(axis=1)  # −1: not run
-        bad = [v.status not in (Status.DONE, Status.NOT_RUN) for v in verdicts]
+        good = (Status.DONE, Status.NOT_RUN, Status.LEFT_OUT)
+        bad = [v.status not in good for v in verdicts]
         return waits & np.array(bad, dtype=bool)
 
 
@@ -133,13 +134,16 @@ def planned(
 
 def _scenes(
     study: Study, builder: SceneBuilder, tell: Callable[[str], None] | None
-) -> Iterator[Scene | SceneError]:
+) -> Iterator[Scene | SceneError | None]:
     """The scene of each case; where there are many, how far it is, every few seconds."""
     cases, last = math.prod(study.shape), time.monotonic()
     for number, index in enumerate(itertools.product(*map(range, study.shape))):
         if tell is not None and number % 1000 == 0 and time.monotonic() - last > SILENCE:
             last = time.monotonic()
             tell(f"planning: {number:,} of {cases:,} cases")
+        if study.leaves_out(index):
+            yield None
+            continue
         try:
             yield builder.scene(index)
         except SceneError as error:

@@ -69,7 +69,7 @@ def check(options: argparse.Namespace) -> int:
         else:
             show(str(error))
         return WRONG
-    cases = _product(study.shape)
+    cases = _product(study.shape) if study.kept is None else int(study.kept.sum())
     summary = told_traces(study)
     if options.json:
         good = {"valid": True, "problems": [], "study": study.name, "cases": cases}
@@ -137,15 +137,16 @@ def status(options: argparse.Namespace) -> int:
     missing, done, off, stopped = (
         count[s] for s in (Status.NOT_RUN, Status.DONE, Status.INACCURATE, Status.STOPPED)
     )
-    failed = len(verdicts) - missing - done - off - stopped
+    cases = len(verdicts) - count[Status.LEFT_OUT]
+    failed = cases - missing - done - off - stopped
     again = prepared.tried_again(verdicts)
     bad = [
         (case, v)
         for case, v in enumerate(verdicts)
-        if v.status not in (Status.DONE, Status.NOT_RUN)
+        if v.status not in (Status.DONE, Status.NOT_RUN, Status.LEFT_OUT)
     ]
     if options.json:
-        cases = [
+        failures = [
             {
                 **_at(prepared, case),
                 "status": v.status.name.lower(),
@@ -155,12 +156,12 @@ def status(options: argparse.Namespace) -> int:
             for case, v in bad
         ]
         counts = {"done": done, "inaccurate": off, "stopped": stopped, "failed": failed}
-        named = {"study": prepared.study.name, "cases": len(verdicts)}
-        _print_json({**named, **counts, "missing": missing, "failures": cases})
+        named = {"study": prepared.study.name, "cases": cases}
+        _print_json({**named, **counts, "missing": missing, "failures": failures})
     else:
         besides = f"{off} inaccurate, " if off else ""
         besides += f"{stopped} stopped early, " if stopped else ""
-        show(f"{len(verdicts)} cases: {done} done, {besides}{failed} failed, {missing} missing")
+        show(f"{cases} cases: {done} done, {besides}{failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
             show(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
         if len(bad) > MOST_SHOWN:

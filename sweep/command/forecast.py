@@ -78,7 +78,7 @@ def forecast(prepared: Project, workers: int) -> dict[str, Any]:
     whole = {name: None if unknown else number for name, number in least.items()}
     return {
         "study": prepared.study.name,
-        "cases": len(made.cases),
+        "cases": made.count,
         "impossible": len(made.impossible),
         "stages": stages,
         "to_run": sum(waiting.values()),

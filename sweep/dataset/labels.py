@@ -56,7 +56,7 @@ def labels_of(plan: Plan, scene_of: Callable[[int], Scene]) -> Labels:
     layouts: dict[tuple[Any, ...], int] = {}
     layout_of = np.full(len(plan.cases), -1, dtype=np.int32)
     for case in range(len(plan.cases)):
-        if case in plan.impossible:
+        if case in plan.impossible or case in plan.left_out:
             continue
         scene = scene_of(case)
         observed |= dict.fromkeys(scene.observe)

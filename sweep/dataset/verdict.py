@@ -27,6 +27,8 @@ def verdict(plan: Plan, store: Store, stored: np.ndarray, case: int) -> Verdict:
     One that marches may have stopped early, as what was observed of it tells. `stored` tells
     which runs of the plan have their product, (runs,) bool.
     """
+    if case in plan.left_out:
+        return Verdict(Status.LEFT_OUT, "left out by `where`")
     if case in plan.impossible:
         return Verdict(Status.FAILED, plan.impossible[case])
     for run in plan.case_runs(case):

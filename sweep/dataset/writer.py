@@ -138,7 +138,7 @@ class Writer:
             "plan_sha256": plan.digest(),
             "stage_versions": ", ".join(f"{s.name} {s.version}" for s in plan.stages),
             "stage_runs": f"{', '.join(f'{s.name} {n}' for s, n in counted)} "
-            f"behind {len(plan.cases)} cases",
+            f"behind {plan.count} cases",
             "demflow_version": installed("demflow"),  # where nothing was done
             **({"stage_sources": told} if (told := sources_told(plan.stages)) else {}),
             **made_by,
@@ -223,6 +223,7 @@ class Writer:
         if coordinate.unit:
             variable.setncattr("units", coordinate.unit)
         variable.setncattr("long_name", coordinate.long_name)
+        variable.setncatts(dict(coordinate.attributes))
         variable[:] = values.astype(object) if words else values
 
     def _status(self) -> None:

@@ -473,7 +473,7 @@ class _Execution:
         now, workers = time.monotonic(), list(self.workers.values())
         tally = self.schedule.tally()
         return Progress(
-            len(self.ledger.plan.cases),
+            self.ledger.plan.count,
             tally.done,
             tally.failed,
             self.schedule.seconds_left(len(workers)),

@@ -224,7 +224,7 @@ class Schedule:
         bad[list(self.plan.impossible)] = True
         left: np.ndarray = np.any(states <= State.RUNNING, axis=1) & ~bad
         failed, waiting = int(np.count_nonzero(bad)), int(np.count_nonzero(left))
-        return Tally(len(bad) - failed - waiting, failed, waiting)
+        return Tally(self.plan.count - failed - waiting, failed, waiting)
 
     def _settle(self, runs: Iterable[int]) -> None:
         """Make ready what has all its parents."""

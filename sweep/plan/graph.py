@@ -110,6 +110,7 @@ class Plan:
     # (cases, stages) int32: index of the run, of a march the last one, −1 where it is not run
     cases: np.ndarray
     impossible: dict[int, str] = field(default_factory=dict)  # cases without a scene, and why
+    left_out: frozenset[int] = frozenset()  # combinations of the axes that are no cases
 
     @cached_property
     def observed(self) -> int:
@@ -120,6 +121,11 @@ class Plan:
     def marches(self) -> list[int]:
         """The rows of the table that run leg by leg."""
         return [k for k, stage in enumerate(self.stages) if stage.legs is not None]
+
+    @property
+    def count(self) -> int:
+        """Number of cases."""
+        return len(self.cases) - len(self.left_out)
 
     def case_runs(self, case: int) -> list[int]:
         """Indices of the runs that a case is made of, parents first."""
@@ -170,12 +176,12 @@ class Plan:
         return digest.hexdigest()
 
 
-def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -> Plan:
+def make_plan(scenes: Iterable[Scene | SceneError | None], stages: tuple[Stage, ...]) -> Plan:
     """Return the plan of the cases whose scenes are given, in their order.
 
     A stage runs where its `wanted` says so; its parents are passed over where theirs
     says no. A march runs once a leg; cases that begin alike share their first legs. An error in
-    the place of a scene makes a case of which nothing is run.
+    the place of a scene makes a case of which nothing is run, None a combination that is no case.
     """
     row = {stage.name: k for k, stage in enumerate(stages)}
     parent_rows = [[row[name] for name in stage.parents] for stage in stages]
@@ -185,9 +191,13 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
     kinds: dict[CostClass, CostClass] = {}  # one object each
     cases: list[np.ndarray] = []
     impossible: dict[int, str] = {}
+    left_out: set[int] = set()
     for number, scene in enumerate(scenes):
         own = np.full(len(stages), -1, dtype=np.int32)
         cases.append(own)
+        if scene is None:
+            left_out.add(number)
+            continue
         if isinstance(scene, Exception):
             impossible[number] = str(scene)
             continue
@@ -211,7 +221,7 @@ def make_plan(scenes: Iterable[Scene | SceneError], stages: tuple[Stage, ...]) -
                     runs.append(StageRun(identity, k, parents, number, kind, leg))
                 own[k] = run
     table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))
-    return Plan(stages, runs, table, impossible)
+    return Plan(stages, runs, table, impossible, frozenset(left_out))
 
 
 def origin(stage: Stage) -> int | tuple[int, str]:

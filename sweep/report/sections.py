@@ -56,15 +56,15 @@ _RANGES = (
 def outcome(dataset: xr.Dataset) -> str:
     """How many cases ended how, and every failure with its message."""
     status = np.asarray(dataset["status"].values).astype(int)
-    total = status.size
+    total = int(np.sum(status != Status.LEFT_OUT))
     rows = [
         (kind.name.replace("_", " ").lower(), int(np.sum(status == kind)))
         for kind in Status
         if np.any(status == kind) or kind is Status.DONE
     ]
     text = f"<p>{_count(total, 'case')}, {rows[0][1]} done.</p>"
-    failures = np.argwhere(status != Status.DONE)
-    if len(failures):
+    failures = np.argwhere((status != Status.DONE) & (status != Status.LEFT_OUT))
+    if len(failures) or total < status.size:
         text += grid(("outcome", "cases"), rows)
         listed = []
         for position in failures[:MOST_FAILURES]:

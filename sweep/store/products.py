@@ -40,7 +40,8 @@ _ALIGNMENT = 64
 PIECE = 1 << 20  # bytes that are read at once
 _KINDS = "biufcUS"  # numbers and text: no objects, nothing that would be executed
 _HEX = set("0123456789abcdef")
-FAILURES = frozenset(Status) - {Status.DONE, Status.NOT_RUN}  # what a record of a failure tells
+# what a record of a failure tells
+FAILURES = frozenset(Status) - {Status.DONE, Status.NOT_RUN, Status.LEFT_OUT}
 
 
 class DamagedError(ValueError):

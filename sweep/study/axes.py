@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from demflow.model import quantities
 from demflow.sweep.study.blocks import LONGEST_NAME
+from demflow.sweep.study.points_file import read_points
 from demflow.sweep.study.scene import SCENE, spaced
 from demflow.sweep.study.sections import (
     NoParameter,
@@ -29,7 +30,11 @@ from demflow.sweep.study.yaml_source import Mapping, Node, Place, Scalar, Sequen
 
 MAX_CASES = 100_000
 
-_KEYS = ("parameter", "parameters", "values", "from", "to", "count", "spacing")
+_KEYS = (
+    *("parameter", "parameters", "values", "from", "to", "count", "spacing"),
+    *("distribution", "file", "columns"),
+)
+SOURCES = ("values", "file", "distribution")  # of points, instead of evenly spaced ones
 
 # names that the dataset uses itself
 RESERVED = frozenset(
@@ -53,6 +58,7 @@ class Axis:
     labels: tuple[str, ...]  # name of each parameter as a coordinate, unique in the study
     long_names: tuple[str, ...]  # what each parameter means
     names: tuple[str, ...] = ()  # of the points, where these are variants of the scene
+    sampled: tuple[tuple[str, Any], ...] = ()  # what made the points, where they are a sample
 
 
 class Draft(NamedTuple):
@@ -104,6 +110,7 @@ def read_drafts(vary: Node | None, reading: Reading) -> list[Draft]:
             paths.append(path)
             places.append(item.place)
         reading.supplied.update(paths)
+        _check_one_source(name, node, reading)
         if len(reading.problems) == before:
             drafts.append(Draft(name, place, tuple(paths), tuple(places), node))
         else:
@@ -142,7 +149,7 @@ def read_axes(
     axes = []
     for draft in drafts:
         found = [
-            _find(draft.name, path, place, values, reading)
+            find(draft, path, place, values, reading)
             for path, place in zip(draft.paths, draft.path_places, strict=True)
         ]
         parameters = [parameter for parameter in found if parameter is not None]
@@ -159,11 +166,28 @@ def read_axes(
             units=tuple(parameter.unit for parameter in parameters),
             labels=(),
             long_names=tuple(
-                _long_name(path, one) for path, one in zip(draft.paths, parameters, strict=True)
+                long_name(path, one) for path, one in zip(draft.paths, parameters, strict=True)
             ),
         )
         axes.append(Located(axis, tuple(place for _, place in points)))
     return axes
+
+
+def _check_one_source(name: str, node: Mapping, reading: Reading) -> None:
+    """Report an axis that has its points in two ways."""
+    given = [key for key in SOURCES if key in node.entries]
+    spacing = [key for key in ("from", "to", "count", "spacing") if key in node.entries]
+    if len(given) > 1:
+        message = f"axis '{name}' has {given[0]} already; remove {given[1]}"
+        reading.report(node.keys[given[1]], message)
+    elif spacing and given and given[0] != "values":
+        message = f"axis '{name}' has {given[0]} already; remove {', '.join(spacing)}"
+        reading.report(node.keys[spacing[0]], message)
+    if "columns" in node.entries and "file" not in node.entries:
+        reading.report(node.keys["columns"], f"axis '{name}': columns are those of a file")
+    if "distribution" in given and "parameters" in node.entries:
+        message = f"axis '{name}': a distribution is that of one parameter"
+        reading.report(node.keys["parameters"], message)
 
 
 def _check_name(name: str, place: Place, reading: Reading) -> None:
@@ -203,10 +227,11 @@ def _path_nodes(name: str, place: Place, node: Mapping, reading: Reading) -> lis
     return words
 
 
-def _find(
-    name: str, path: str, place: Place, values: dict[str, Any], reading: Reading
+def find(
+    draft: Draft, path: str, place: Place, values: dict[str, Any], reading: Reading
 ) -> Parameter | None:
     """The parameter at a path, or None after reporting why there is none."""
+    name = draft.name
     parts = tuple(path.split("."))
     try:
         return SCENE.find(values, parts)
@@ -235,6 +260,8 @@ def _points(
     """The values of an axis and their places."""
     entries = draft.node.entries
     spacing = [key for key in ("from", "to", "count", "spacing") if key in entries]
+    if "file" in entries:
+        return read_points(draft.name, draft.node, draft.paths, parameters, reading)
     if "values" not in entries:
         if "parameters" in entries or not spacing:
             reading.report(draft.place, f"axis '{draft.name}' lacks 'values'")
@@ -347,7 +374,7 @@ def _check_distinct(name: str, points: list[Point], reading: Reading) -> None:
         first.setdefault(values, place)
 
 
-def _long_name(path: str, parameter: Parameter) -> str:
+def long_name(path: str, parameter: Parameter) -> str:
     """What a parameter means, with the name of its well or fracture."""
     parts = path.split(".")
     meaning = (parameter.help or example(parameter.unit)).split(";")[0]
@@ -363,6 +390,12 @@ def labelled(axes: list[Located]) -> list[Located]:
     taken = set(RESERVED) | {located.axis.name for located in axes}
     labelled = []
     for located in axes:
+        if located.axis.sampled:  # by the names under vary
+            taken |= {*located.axis.labels}
+    for located in axes:
+        if located.axis.sampled:
+            labelled.append(located)
+            continue
         labels = []
         for path in () if located.axis.names else located.axis.parameters:
             parts = path.replace("-", "_").split(".")

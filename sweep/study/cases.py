@@ -33,6 +33,7 @@ class Coordinate(NamedTuple):
     values: np.ndarray  # (points,) float, int or str; SI, angles in degrees
     unit: str  # "degree" for angles, "" for words
     long_name: str
+    attributes: tuple[tuple[str, Any], ...] = ()  # further ones
 
 
 def case_at(study: Study, index: Sequence[int]) -> Case:
@@ -54,7 +55,8 @@ def coordinates(axis: Axis) -> tuple[Coordinate, ...]:
 
     An axis over one number or word is its own coordinate, under the axis's name. Any other (over
     several parameters, or over points) has its values in words, `20 MPa, 10 MPa`, and its
-    parameters follow as numbers under `axis.labels`, points as `…_x` and `…_y`.
+    parameters follow as numbers under `axis.labels`, points as `…_x` and `…_y`. A sample has its
+    numbers, from 0, and its parameters follow likewise.
     """
     if axis.names:
         return (Coordinate(axis.name, np.array(axis.names), "", "variant of the scene"),)
@@ -63,6 +65,9 @@ def coordinates(axis: Axis) -> tuple[Coordinate, ...]:
         for k, label in enumerate(axis.labels)
     ]
     beside = tuple(itertools.chain.from_iterable(columns))
+    if axis.sampled:
+        numbers = np.arange(len(axis.values), dtype=np.int32)
+        return (Coordinate(axis.name, numbers, "", "number of the sample", axis.sampled), *beside)
     simple = not any(isinstance(point[0], tuple) for point in axis.values)
     if len(axis.parameters) == 1 and simple:
         return (beside[0]._replace(name=axis.name),)

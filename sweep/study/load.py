@@ -16,6 +16,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from demflow.model.parameters import parameter
 from demflow.model.scene import OBSERVABLES
 from demflow.sweep.study import yaml_source
@@ -31,6 +33,8 @@ from demflow.sweep.study.axes import (
 from demflow.sweep.study.blocks import block_of
 from demflow.sweep.study.expect import EXPECT, Expectation
 from demflow.sweep.study.overrides import overlaid
+from demflow.sweep.study.samples import NAME as SAMPLED
+from demflow.sweep.study.samples import cases_of, is_drawn, read_sample, sampled_axis
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.scenes import SceneBuilder
 from demflow.sweep.study.sections import NamedFile, Reading, TooManyProblems, report_unknown
@@ -41,6 +45,7 @@ from demflow.sweep.study.variants import (
     read_variants,
     without_variants,
 )
+from demflow.sweep.study.where import kept_cases
 from demflow.sweep.study.yaml_source import (
     Node,
     Place,
@@ -59,7 +64,7 @@ NAMED = ("wells", "fractures", "probes")
 MANY_NAMES = 50  # of them, from which on fewer combinations are checked
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
-    *("limits", "figures", "expect", "smoke"),
+    *("sample", "where", "limits", "figures", "expect", "smoke"),
 )
 NAME_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}"
 RESERVED_NAMES = ("store",)  # results/store holds the products of all studies
@@ -118,6 +123,7 @@ class Study:
     figures: Figures
     promised: tuple[Expectation, ...] = ()  # one for all cases, or one for each variant; or none
     files: Mapping[str, NamedFile] = field(default_factory=dict)  # by the name of their kept copy
+    kept: np.ndarray | None = None  # bool of the shape: combinations that are cases; None: all
 
     def expectation(self, index: Sequence[int]) -> Expectation:
         """How the case at a position along each axis should end."""
@@ -130,6 +136,10 @@ class Study:
     def shape(self) -> tuple[int, ...]:
         """Number of values of each axis."""
         return tuple(len(axis.values) for axis in self.axes)
+
+    def leaves_out(self, index: Sequence[int]) -> bool:
+        """Whether the case at a position along each axis is none by `where`."""
+        return self.kept is not None and not self.kept[tuple(index)]
 
 
 def load_study(path: str | Path, *, smoke: bool = False) -> Study:
@@ -189,16 +199,35 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
     variants = read_variants(root, reading)
     scenes = _scenes_of(root, variants, meant, reading)
     values = scenes[0]
-    count = count_cases(drafts) * len(scenes)
+    drawn = [draft for draft in drafts if is_drawn(draft)]
+    plain = [draft for draft in drafts if not is_drawn(draft)]
+    sample = read_sample(entries.get("sample"), drawn, reading)
+    count = count_cases(plain) * len(scenes) * (cases_of(sample, drawn) if sample else 1)
     if count > MAX_CASES:
         message = f"vary makes {count:,} cases; a study may have {MAX_CASES:,} at most"
         reading.report(keys["vary"], message)
-    axes = read_axes(drafts, values, reading, ends_only=count > MAX_CASES)
+    axes = read_axes(plain, values, reading, ends_only=count > MAX_CASES)
+    found = {located.axis.name: located for located in axes}
+    if sample is not None and count <= MAX_CASES:
+        located = sampled_axis(sample, drawn, values, reading)
+        if located is not None:
+            found[SAMPLED] = located
+    elif drawn:
+        reading.unreadable.update(path for draft in drawn for path in draft.paths)
     if variants is not None:
         if not found_everywhere(drafts, variants, scenes, reading):
             return None
-        axes.insert(variants.position, variants.located(scenes))
-    axes = labelled(axes)
+        found[variants.name] = variants.located(scenes)
+    names = {draft.name for draft in drawn}
+    if drawn and SAMPLED in keys_of(entries.get("vary")):
+        reading.report(keys["vary"], f"axis '{SAMPLED}': the sample has this name; take another")
+    order = dict.fromkeys(
+        SAMPLED if name in names else name for name in keys_of(entries.get("vary"))
+    )
+    axes = labelled([found[name] for name in order if name in found])
+    kept = None
+    if not reading.problems:
+        kept = kept_cases(entries.get("where"), [located.axis for located in axes], reading)
     promised = _promised(entries.get("expect"), variants, reading)
     blocks: dict[str, Any] = {}
     for key, block in (("limits", LIMITS), ("figures", FIGURES)):
@@ -211,7 +240,7 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
             for path, what in problems:
                 if not reading.spoilt(path):
                     reading.report(reading.place(path), f"{path}: {what}")
-    _check_scenes(values, axes, reading, combine=count <= MAX_CASES)
+    _check_scenes(values, axes, reading, kept, combine=count <= MAX_CASES)
     _check_figures(blocks["figures"], values, reading)
     if reading.problems:
         return None
@@ -228,7 +257,13 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
         figures=blocks["figures"],
         promised=promised,
         files=reading.files,
+        kept=kept,
     )
+
+
+def keys_of(node: Node | None) -> list[str]:
+    """The keys of a mapping, none where it is none."""
+    return list(node.entries) if isinstance(node, yaml_source.Mapping) else []
 
 
 def _name(node: Node | None, reading: Reading) -> str:
@@ -335,7 +370,12 @@ def _scene_values(
 
 
 def _check_scenes(
-    values: dict[str, Any], located: list[Located], reading: Reading, *, combine: bool
+    values: dict[str, Any],
+    located: list[Located],
+    reading: Reading,
+    kept: np.ndarray | None,
+    *,
+    combine: bool,
 ) -> None:
     """Build the scenes and report what is wrong with them at the place that causes it."""
     axes = [one.axis for one in located]
@@ -346,7 +386,9 @@ def _check_scenes(
     )
     owner = {path: number for number, axis in enumerate(axes) for path in axis.parameters}
     variants = next((number for number, axis in enumerate(axes) if axis.names), None)
-    origin = (0,) * len(axes)
+    shape = [len(axis.values) for axis in axes]
+    # the first of all cases, from which others are told apart
+    origin = (0,) * len(axes) if kept is None else tuple(map(int, np.argwhere(kept)[0]))
     at_origin: set[tuple[str, str]] = set()
     seen: set[tuple[str, str]] = set()
     named = sum(len(values.get(key) or ()) for key in NAMED)
@@ -355,8 +397,10 @@ def _check_scenes(
     most = MOST_COMBINATIONS // (1 + named // MANY_NAMES)
     # wells, fractures and probes of which a part could not be read
     partly = {_named_in(path) for path in reading.unreadable} - {""}
-    for index in _indices([len(axis.values) for axis in axes], combine, most):
-        moved = [number for number, k in enumerate(index) if k]
+    for index in _indices(shape, origin, combine, most):
+        if kept is not None and not kept[index]:
+            continue
+        moved = [number for number, k in enumerate(index) if k != origin[number]]
         for problem in builder.problems(index, whole=whole, unreadable=reading.unreadable):
             path, what = problem
             if reading.spoilt(path) or problem in at_origin or _named_in(path) in partly:
@@ -385,30 +429,32 @@ def _named_in(path: str) -> str:
     return ".".join(parts[:2]) if parts[0] in NAMED and len(parts) > 2 else ""
 
 
-def _indices(shape: list[int], combine: bool, most: int) -> Iterator[tuple[int, ...]]:
+def _indices(
+    shape: list[int], origin: tuple[int, ...], combine: bool, most: int
+) -> Iterator[tuple[int, ...]]:
     """The first of all, each value of each axis alone, then combinations while they are few.
 
     All combinations up to the most; else those of two axes, if these are few enough. Of an axis
     longer than that, values are taken at even distances and at its end.
     """
-    origin = (0,) * len(shape)
     yield origin
     for number, length in enumerate(shape):
         stride = -(-length // max(most, 2))
-        for k in sorted({*range(1, length, stride), length - 1} - {0}):
+        for k in sorted({*range(0, length, stride), length - 1} - {origin[number]}):
             yield (*origin[:number], k, *origin[number + 1 :])
     if not combine:
         return
     if math.prod(shape) <= most:
         for index in itertools.product(*map(range, shape)):
-            if sum(k > 0 for k in index) > 1:
+            if sum(k != at for k, at in zip(index, origin, strict=True)) > 1:
                 yield index
         return
     pairs = list(itertools.combinations(range(len(shape)), 2))
     if sum((shape[a] - 1) * (shape[b] - 1) for a, b in pairs) <= most:
         for a, b in pairs:
-            for i, j in itertools.product(range(1, shape[a]), range(1, shape[b])):
-                yield tuple(i if k == a else j if k == b else 0 for k in range(len(shape)))
+            others = ([k for k in range(shape[n]) if k != origin[n]] for n in (a, b))
+            for i, j in itertools.product(*others):
+                yield tuple(i if k == a else j if k == b else at for k, at in enumerate(origin))
 
 
 def setting(axis: Axis, k: int) -> str:
@@ -416,6 +462,9 @@ def setting(axis: Axis, k: int) -> str:
     if axis.names:
         return f"{axis.name} = {axis.names[k]}"
     shown = map(describe, axis.values[k], axis.units)
+    if axis.sampled:
+        drawn = ", ".join(f"{n} = {v}" for n, v in zip(axis.labels, shown, strict=True))
+        return f"{axis.name} = {k} ({drawn})"
     return f"{axis.name} = {', '.join(shown)}"
 
 

@@ -13,7 +13,9 @@ from typing import Any
 from demflow.sweep.study.axes import MAX_CASES
 from demflow.sweep.study.blocks import Block, Forms, Law, Listed, Named, OneOf, Words
 from demflow.sweep.study.expect import EXPECT
+from demflow.sweep.study.laws import FORMS, keys_of
 from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
+from demflow.sweep.study.samples import SAMPLE
 from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
@@ -52,6 +54,13 @@ def study_schema() -> Schema:
                 "description": f"axes; they multiply, up to {MAX_CASES} cases",
                 "propertyNames": {"pattern": "^[A-Za-z][A-Za-z0-9_]*$"},
                 "additionalProperties": {"oneOf": _axis_forms(path, value)},
+            },
+            "sample": _schema(SAMPLE)
+            | {"description": "how the axes with a distribution are sampled together"},
+            "where": {
+                "type": ["string", "array"],
+                "items": {"type": "string"},
+                "description": "which combinations are cases, as in stress_xx >= stress_yy",
             },
             "observe": _schema(SCENE.members["observe"].section)
             | {"description": "what is wanted; it decides what is run"},
@@ -96,6 +105,11 @@ def _axis_forms(path: Schema, value: Schema) -> list[Schema]:
         "parameters": {"type": "array", "minItems": 1, "items": path},
         "values": {"type": "array", "minItems": 1, "items": {"type": "array", "items": value}},
     }
+    drawn = {"parameter": path, "distribution": {"oneOf": [*map(_law, FORMS)]}}
+    tabled = {
+        "file": {"type": "string", "description": "CSV with a column for each parameter"},
+        "columns": {"type": "array", "items": {"type": "string"}},
+    }
     variants = {
         "variants": {
             "type": "object",
@@ -111,8 +125,26 @@ def _axis_forms(path: Schema, value: Schema) -> list[Schema]:
         _object({"parameter": path, "values": listed}, ["parameter", "values"]),
         _object(spaced, ["parameter", "from", "to", "count"]),
         _object(together, ["parameters", "values"]),
+        _object(drawn, ["parameter", "distribution"]),
+        _object({"parameter": path, **tabled}, ["parameter", "file"]),
+        _object({"parameters": together["parameters"], **tabled}, ["parameters", "file"]),
         _object(variants, ["variants"]),
     ]
+
+
+def _law(name: str) -> Schema:
+    """The schema of a law of chance."""
+    number = _quantity({}, "a value, in the parameter's unit")
+    form, several = FORMS[name], {"type": "array", "minItems": 1, "items": {}}
+    properties: Schema = {name: several}
+    if form.numbers == 1:
+        properties[name] = _quantity({}, "standard deviation")
+    elif form.numbers:
+        count = {"minItems": form.numbers, "maxItems": form.numbers}
+        properties[name] = {"type": "array", "items": number, **count}
+    for key in keys_of(name)[1:]:
+        properties[key] = several if key in ("within", "weights") else number
+    return _object(properties, [name, *([form.beside] if form.beside else [])])
 
 
 def _schema(section: Section) -> Schema:

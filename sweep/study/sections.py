@@ -30,7 +30,10 @@ from demflow.sweep.study.units import (
 from demflow.sweep.study.yaml_source import MOST_TOLD, Node, Place, Problem, Scalar, Sequence
 
 # keys that stand beside `scene` in a study although a scene (or nothing else) holds them
-BESIDE_SCENE = ("observe", "solver", "limits", "figures", "expect", "vary", "smoke")
+BESIDE_SCENE = (
+    *("observe", "solver", "limits", "figures", "expect"),
+    *("vary", "sample", "where", "smoke"),
+)
 
 KEPT = "files"  # folder beside a kept study, with copies of what it names
 
