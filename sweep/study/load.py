@@ -24,6 +24,7 @@ from demflow.sweep.study import yaml_source
 from demflow.sweep.study.axes import (
     MAX_CASES,
     Axis,
+    Draft,
     Located,
     count_cases,
     labelled,
@@ -188,9 +189,9 @@ def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None,
 
 def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> Study | None:
     """The study that a tree of nodes stands for, or None; `reading` gets the problems."""
-    entries, keys = root.entries, root.keys
+    entries = root.entries
     meant: set[str | None] = set()  # keys that misspelt ones stand for
-    for key, place in keys.items():
+    for key, place in root.keys.items():
         if key not in KEYS:
             meant.add(report_unknown(key, place, KEYS, "", reading, at="the study"))
     name = "" if "study" in meant else _name(entries.get("study"), reading)
@@ -199,47 +200,14 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
     variants = read_variants(root, reading)
     scenes = _scenes_of(root, variants, meant, reading)
     values = scenes[0]
-    drawn = [draft for draft in drafts if is_drawn(draft)]
-    plain = [draft for draft in drafts if not is_drawn(draft)]
-    sample = read_sample(entries.get("sample"), drawn, reading)
-    count = count_cases(plain) * len(scenes) * (cases_of(sample, drawn) if sample else 1)
-    if count > MAX_CASES:
-        message = f"vary makes {count:,} cases; a study may have {MAX_CASES:,} at most"
-        reading.report(keys["vary"], message)
-    axes = read_axes(plain, values, reading, ends_only=count > MAX_CASES)
-    found = {located.axis.name: located for located in axes}
-    if sample is not None and count <= MAX_CASES:
-        located = sampled_axis(sample, drawn, values, reading)
-        if located is not None:
-            found[SAMPLED] = located
-    elif drawn:
-        reading.unreadable.update(path for draft in drawn for path in draft.paths)
-    if variants is not None:
-        if not found_everywhere(drafts, variants, scenes, reading):
-            return None
-        found[variants.name] = variants.located(scenes)
-    names = {draft.name for draft in drawn}
-    if drawn and SAMPLED in keys_of(entries.get("vary")):
-        reading.report(keys["vary"], f"axis '{SAMPLED}': the sample has this name; take another")
-    order = dict.fromkeys(
-        SAMPLED if name in names else name for name in keys_of(entries.get("vary"))
-    )
-    axes = labelled([found[name] for name in order if name in found])
+    axes, count = _axes_of(root, drafts, variants, scenes, reading)
+    if axes is None:
+        return None
     kept = None
     if not reading.problems:
         kept = kept_cases(entries.get("where"), [located.axis for located in axes], reading)
     promised = _promised(entries.get("expect"), variants, reading)
-    blocks: dict[str, Any] = {}
-    for key, block in (("limits", LIMITS), ("figures", FIGURES)):
-        node = entries.get(key)
-        blocks[key] = block.cls()
-        if node is not None and not (isinstance(node, Scalar) and node.empty):
-            reading.places[key] = keys[key]
-            problems: list[tuple[str, str]] = []
-            blocks[key] = block.build(block.read(node, key, reading), key, problems)
-            for path, what in problems:
-                if not reading.spoilt(path):
-                    reading.report(reading.place(path), f"{path}: {what}")
+    blocks = _blocks_of(root, reading)
     _check_scenes(values, axes, reading, kept, combine=count <= MAX_CASES)
     _check_figures(blocks["figures"], values, reading)
     if reading.problems:
@@ -261,7 +229,59 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
     )
 
 
-def keys_of(node: Node | None) -> list[str]:
+def _axes_of(
+    root: yaml_source.Mapping,
+    drafts: list[Draft],
+    variants: VariantAxis | None,
+    scenes: list[dict[str, Any]],
+    reading: Reading,
+) -> tuple[list[Located] | None, int]:
+    """The axes in the order of the file, and how many cases they make; None: go no further."""
+    vary, values = root.entries.get("vary"), scenes[0]
+    drawn = [draft for draft in drafts if is_drawn(draft)]
+    plain = [draft for draft in drafts if not is_drawn(draft)]
+    sample = read_sample(root.entries.get("sample"), drawn, reading)
+    count = count_cases(plain) * len(scenes) * (cases_of(sample, drawn) if sample else 1)
+    if count > MAX_CASES:
+        message = f"vary makes {count:,} cases; a study may have {MAX_CASES:,} at most"
+        reading.report(root.keys["vary"], message)
+    axes = read_axes(plain, values, reading, ends_only=count > MAX_CASES)
+    found = {located.axis.name: located for located in axes}
+    if sample is not None and count <= MAX_CASES:
+        located = sampled_axis(sample, drawn, values, reading)
+        if located is not None:
+            found[SAMPLED] = located
+    else:
+        reading.unreadable.update(path for draft in drawn for path in draft.paths)
+    if variants is not None:
+        if not found_everywhere(drafts, variants, scenes, reading):
+            return None, count
+        found[variants.name] = variants.located(scenes)
+    if drawn and SAMPLED in _names(vary):
+        message = f"axis '{SAMPLED}': the sample has this name; take another"
+        reading.report(root.keys["vary"], message)
+    names = {draft.name for draft in drawn}
+    order = dict.fromkeys(SAMPLED if name in names else name for name in _names(vary))
+    return labelled([found[name] for name in order if name in found]), count
+
+
+def _blocks_of(root: yaml_source.Mapping, reading: Reading) -> dict[str, Any]:
+    """The blocks beside the scene, `limits` and `figures`."""
+    blocks: dict[str, Any] = {}
+    for key, block in (("limits", LIMITS), ("figures", FIGURES)):
+        node = root.entries.get(key)
+        blocks[key] = block.cls()
+        if node is not None and not (isinstance(node, Scalar) and node.empty):
+            reading.places[key] = root.keys[key]
+            problems: list[tuple[str, str]] = []
+            blocks[key] = block.build(block.read(node, key, reading), key, problems)
+            for path, what in problems:
+                if not reading.spoilt(path):
+                    reading.report(reading.place(path), f"{path}: {what}")
+    return blocks
+
+
+def _names(node: Node | None) -> list[str]:
     """The keys of a mapping, none where it is none."""
     return list(node.entries) if isinstance(node, yaml_source.Mapping) else []
 
