@@ -9,8 +9,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Any
+from typing import Any, Protocol, TypeVar, cast
 
+import numpy as np
 from numba import njit
 from numba.core import event
 from numba.extending import overload
@@ -18,16 +19,31 @@ from numba.extending import overload
 from demflow.model.compilation import compilation
 from demflow.model.kernel_cache import LateCache
 
+Array = np.ndarray  # its docstring says of what, and of which shape
 
-def kernel(function: Callable[..., Any]) -> Any:
+Function = TypeVar("Function", bound=Callable[..., Any])
+Returned = TypeVar("Returned", covariant=True)
+
+
+def kernel(function: Function) -> Function:
     """Compile a function of numbers and arrays to machine code, cached on disk."""
     compiled: Any = njit(nogil=True, error_model="numpy")(function)
     if compiled is not function:  # NUMBA_DISABLE_JIT leaves it as it is
         compiled._cache = LateCache(function)
-    return compiled
+    return cast("Function", compiled)
 
 
-def by_type(statement: Callable[..., Any]) -> Any:
+class ByType(Protocol[Returned]):
+    """A function for kernels whose first argument decides what it does."""
+
+    def __call__(self, first: Any, *others: Any) -> Returned:
+        """Do what is given for the type of the first."""
+
+    def of(self, kind: type) -> Callable[[Function], Function]:
+        """Give what is done for a kind."""
+
+
+def by_type(statement: Callable[..., Returned]) -> ByType[Returned]:
     """Make a function for kernels whose first argument, a named tuple, decides what it does.
 
     `@function.of(Kind)` gives what is done for a `Kind`, the statement itself what is done for
@@ -37,8 +53,9 @@ def by_type(statement: Callable[..., Any]) -> Any:
     implementations: dict[type, Callable[..., Any]] = {}
 
     @wraps(statement)
-    def function(first: Any, *others: Any) -> Any:
-        return implementations.get(type(first), statement)(first, *others)
+    def function(first: Any, *others: Any) -> Returned:
+        chosen: Callable[..., Returned] = implementations.get(type(first), statement)
+        return chosen(first, *others)
 
     def of(kind: type) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
         def give(implementation: Callable[..., Any]) -> Callable[..., Any]:
@@ -50,9 +67,12 @@ def by_type(statement: Callable[..., Any]) -> Any:
     def choose(first: Any, *_others: Any) -> Callable[..., Any]:
         return implementations.get(getattr(first, "instance_class", type(None)), statement)
 
-    overload(function, jit_options={"nogil": True, "error_model": "numpy"}, strict=False)(choose)
+    chosen: Callable[[Any], Any] = overload(
+        function, jit_options={"nogil": True, "error_model": "numpy"}, strict=False
+    )
+    chosen(choose)
     vars(function).update(of=of, statement=statement, implementations=implementations)
-    return function
+    return cast("ByType[Returned]", function)
 
 
 class _Report(event.Listener):

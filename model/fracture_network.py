@@ -219,7 +219,7 @@ def _around(n: int, a: Array, b: Array) -> tuple[Array, Array, Array]:
 
 
 @kernel
-def _components(root, start, beyond, edge):
+def _components(root: int, start: Array, beyond: Array, edge: Array) -> Array:
     """Biconnected component of each edge that hangs together with a node, −1 of the others.
 
     Depth first from the root: `low` is the least order that a node's descendants reach by one

@@ -80,7 +80,7 @@ _ANY_SIZE = (1e-60, 1e60)
 
 
 def bound_problem(
-    declared: Field, value: Any, show: Callable[[float], str] | None = None
+    declared: Field[Any], value: Any, show: Callable[[float], str] | None = None
 ) -> str | None:
     """What is wrong with a value against the declaration of its field, or None.
 

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 
 
 @kernel
-def prune(n, a, b):
+def prune(n: int, a: Array, b: Array) -> Array:
     """Contacts that can bound a face: both grains keep at least two of them.
 
     Grains with fewer than two contacts are removed until none is left.
@@ -35,7 +35,7 @@ def prune(n, a, b):
 
 
 @kernel
-def next_half_edges(start, half_edges, a, b):
+def next_half_edges(start: Array, half_edges: Array, a: Array, b: Array) -> Array:
     """The half-edge that follows each one around its face, counter-clockwise.
 
     `half_edges[start[v]:start[v + 1]]` leave grain v in counter-clockwise order.
@@ -55,7 +55,7 @@ def next_half_edges(start, half_edges, a, b):
 
 
 @kernel
-def walk_faces(following, origin):
+def walk_faces(following: Array, origin: Array) -> tuple[Array, Array, Array, Array]:
     """Collect the cycles of `following`.
 
     Returns the first corner of each face (faces + 1), the grain and the half-edge at
@@ -85,7 +85,9 @@ def walk_faces(following, origin):
 
 
 @kernel
-def measure_faces(first, corner_grain, x, y, radius):
+def measure_faces(
+    first: Array, corner_grain: Array, x: Array, y: Array, radius: Array
+) -> tuple[Array, Array, Array, Array]:
     """Signed area, centroid and void area (polygon less grain sectors) of each face."""
     n = first.size - 1
     area = np.empty(n)
@@ -121,13 +123,13 @@ def measure_faces(first, corner_grain, x, y, radius):
 
 
 @kernel
-def _cell(value, low, size, count):
+def _cell(value: float, low: float, size: float, count: int) -> int:
     """Cell of a row of `count` that a coordinate lies in; what lies outside is in the last."""
     return min(max(int((value - low) / size), 0), count - 1)
 
 
 @kernel
-def locate(px, py, first, corner_grain, x, y):
+def locate(px: Array, py: Array, first: Array, corner_grain: Array, x: Array, y: Array) -> Array:
     """The first face whose polygon contains each point, −1 where none does.
 
     The points are sorted into cells, about one in each; a face looks at the cells that its
@@ -175,7 +177,9 @@ def locate(px, py, first, corner_grain, x, y):
 
 
 @kernel
-def _contains(px, py, lo, hi, corner_grain, x, y):
+def _contains(
+    px: float, py: float, lo: int, hi: int, corner_grain: Array, x: Array, y: Array
+) -> bool:
     """Whether the polygon of corners lo … hi − 1 contains a point (even–odd rule)."""
     inside = False
     for k in range(lo, hi):
@@ -187,7 +191,9 @@ def _contains(px, py, lo, hi, corner_grain, x, y):
 
 
 @kernel
-def crossing_pairs(a, b, x, y, size):  # noqa: C901 (a kernel)
+def crossing_pairs(  # noqa: C901 (a kernel)
+    a: Array, b: Array, x: Array, y: Array, size: float
+) -> Array:
     """Pairs of contacts (pairs, 2) that properly cross each other.
 
     Contacts are sorted into square cells of the given size that their boxes meet; a pair is
@@ -238,7 +244,7 @@ def crossing_pairs(a, b, x, y, size):  # noqa: C901 (a kernel)
 
 
 @kernel
-def _cross(p, q, r, s, x, y):
+def _cross(p: int, q: int, r: int, s: int, x: Array, y: Array) -> bool:
     """Whether the segments p–q and r–s cross between their ends."""
     if p in (r, s) or q in (r, s):
         return False

@@ -6,6 +6,8 @@ after the other with the last axis of the study fastest, and the count of each c
 
 from __future__ import annotations
 
+from typing import Any
+
 import netCDF4
 import numpy as np
 
@@ -70,7 +72,7 @@ class Ragged:
                 variable[end - len(values) : end] = values
         count[(*tile.at, ...)] = counts.reshape(tile.shape)
 
-    def _count(self, dimension: str) -> netCDF4.Variable:
+    def _count(self, dimension: str) -> netCDF4.Variable[Any]:
         """How many each case has: none, unless it is written."""
         name = count_name(dimension)
         if name not in self.file.variables:
@@ -81,7 +83,7 @@ class Ragged:
             variable[...] = 0
         return self.file[name]
 
-    def _variable(self, name: str, dimension: str) -> netCDF4.Variable:
+    def _variable(self, name: str, dimension: str) -> netCDF4.Variable[Any]:
         if name not in self.file.variables:
             variable = self.file.createVariable(name, "f8", (dimension,), fill_value=np.nan)
             variable.setncatts(quantity_attributes(CASE[name]))

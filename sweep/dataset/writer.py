@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Any
 
 import netCDF4
 import numpy as np
@@ -147,7 +148,7 @@ class Writer:
         }
         self.file.setncatts(attributes)
 
-    def _variable(self, name: str, quantity: Quantity) -> netCDF4.Variable:
+    def _variable(self, name: str, quantity: Quantity) -> netCDF4.Variable[Any]:
         """The variable of a quantity, made when it is first needed."""
         if name in self.file.variables:
             return self.file[name]

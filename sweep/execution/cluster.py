@@ -10,7 +10,7 @@ from typing import Any
 
 import dask
 from distributed import Client, Future
-from distributed.comm import parse_address, parse_host_port
+from distributed.comm.addressing import parse_address, parse_host_port
 from distributed.core import rpc
 from distributed.security import Security
 
@@ -36,7 +36,7 @@ class RemotePool(Pool):
         super().__init__()
         self.scheduler = scheduler
         self._restarts: set[asyncio.Task[None]] = set()
-        self._wishes: list[Future] = []
+        self._wishes: list[Future[Any]] = []
 
     async def __aenter__(self) -> RemotePool:
         # a parent product may be large, and is meant to travel

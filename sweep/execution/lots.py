@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from distributed import Future
 from zict import LRU
@@ -46,7 +46,7 @@ class Lots:
         self.table, self.pool = table, pool
         # futures of products that a cluster has, and their sizes; its workers take them from
         # each other
-        self._sent: LRU[str, tuple[Future, int]] = LRU(
+        self._sent: LRU[str, tuple[Future[Any], int]] = LRU(
             SENT_BYTES, {}, weight=lambda _, sent: sent[1]
         )
         self._sendings = 0
@@ -63,7 +63,7 @@ class Lots:
         parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
         return Task(run, entry.id, stage.name, reads, parents)
 
-    async def files(self, address: str, lot: Lot) -> dict[str, Future]:
+    async def files(self, address: str, lot: Lot) -> dict[str, Future[Any]]:
         """Parents that a worker does not make in this very lot.
 
         Raises ParentLostError, NoAnswerError.

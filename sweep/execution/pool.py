@@ -91,7 +91,7 @@ class Pool(ABC):
         Raises NoAnswerError where the worker or a file that was sent to it is gone.
         """
         self._calls += 1
-        future: Future = self.client.submit(
+        future: Future[Any] = self.client.submit(
             function,
             *arguments,
             key=f"{self.name}-{self._calls}",

@@ -453,7 +453,9 @@ def block_of(
     return Block(cls, members)
 
 
-def _section(declared: dataclasses.Field, hint: Any, words: KindWords, within: Specials) -> Section:
+def _section(
+    declared: dataclasses.Field[Any], hint: Any, words: KindWords, within: Specials
+) -> Section:
     kinds = _alternatives(hint)
     optional = type(None) in kinds
     kinds = tuple(kind for kind in kinds if kind is not type(None))

@@ -164,7 +164,9 @@ def _in_degrees(name: str) -> str:
     )
 
 
-def _add_geometry(found: Found, geometry: dict[str, Any], number: int, wanted: dict) -> None:
+def _add_geometry(
+    found: Found, geometry: dict[str, Any], number: int, wanted: dict[str, Any]
+) -> None:
     kind, coordinates = geometry.get("type"), geometry.get("coordinates")
     if kind not in wanted or not isinstance(coordinates, list):
         what = "empty" if kind is None else f"a {kind}, not a {' or '.join(wanted)}"

@@ -251,7 +251,7 @@ class WordOr(Section):
 class MapFiles(Section):
     """A file with a map, its name relative to the study; or a kept copy beside the study."""
 
-    declared: dataclasses.Field
+    declared: dataclasses.Field[Any]
     rings: bool
 
     def read(self, node: Node, path: str, reading: Reading) -> Any:

@@ -123,7 +123,7 @@ class Section(ABC):
 class Parameter(Section):
     """A value: a quantity, a whole number, a word, or a list of these."""
 
-    declared: dataclasses.Field
+    declared: dataclasses.Field[Any]
     type: Any  # without None
     optional: bool
 

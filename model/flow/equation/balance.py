@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, solve
 from demflow.model.network.connectivity import reached
@@ -191,13 +191,22 @@ def _drain(
 
 
 @kernel
-def _flow(g, p, q, dp, dq):
+def _flow(g: float, p: float, q: float, dp: float, dq: float) -> float:
     """Flow along a conductance g between the pressures p + dp and q + dq."""
     return g * ((p - q) + (dp - dq))
 
 
 @kernel
-def _flows(edge_i, edge_j, edge_g, node, link_g, held, pressure, remainder):
+def _flows(
+    edge_i: Array,
+    edge_j: Array,
+    edge_g: Array,
+    node: Array,
+    link_g: Array,
+    held: Array,
+    pressure: Array,
+    remainder: Array,
+) -> tuple[Array, Array]:
     """Flows along edges and links."""
     edge, link = np.empty(edge_g.size), np.empty(link_g.size)
     for f in range(link_g.size):
@@ -209,7 +218,9 @@ def _flows(edge_i, edge_j, edge_g, node, link_g, held, pressure, remainder):
 
 
 @kernel
-def _nets(edge_i, edge_j, node, edge, link, well):
+def _nets(
+    edge_i: Array, edge_j: Array, node: Array, edge: Array, link: Array, well: Array
+) -> tuple[Array, Array]:
     """What stays in each unknown, and half of all that enters and leaves it."""
     net, through = well.copy(), np.abs(well)
     for f in range(link.size):
@@ -225,7 +236,7 @@ def _nets(edge_i, edge_j, node, edge, link, well):
 
 
 @kernel
-def _spanning_tree(n, a, b, by_strength):
+def _spanning_tree(n: int, a: Array, b: Array, by_strength: Array) -> Array:
     """Edges of the tree of the strongest (Kruskal 1956)."""
     leader = np.arange(n)
     tree = np.empty(n - 1, np.int64)
@@ -246,7 +257,7 @@ def _spanning_tree(n, a, b, by_strength):
 
 
 @kernel
-def _drained(root, a, b, tree, net):
+def _drained(root: int, a: Array, b: Array, tree: Array, net: Array) -> Array:
     """Flow a → b along each edge that takes what stays in the nodes of a tree to its root."""
     start = np.zeros(root + 2, np.int64)
     for e in tree:

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.linear.graph import Graph, graph_of, inverse, renumbered
 from demflow.model.flow.linear.ordering import minimum_degree
 
@@ -135,7 +135,7 @@ def column_counts(graph: Graph) -> np.ndarray:
 
 
 @kernel
-def _elimination_tree(start, neighbour):
+def _elimination_tree(start: Array, neighbour: Array) -> Array:
     n = start.size - 1
     parent = np.full(n, -1, np.int32)
     ancestor = np.full(n, -1, np.int32)
@@ -152,7 +152,7 @@ def _elimination_tree(start, neighbour):
 
 
 @kernel
-def _postorder(parent, weight):
+def _postorder(parent: Array, weight: Array) -> Array:
     """Nodes of a forest, children before parents, lighter children first."""
     n = parent.size
     heaviest = 0
@@ -197,7 +197,9 @@ def _postorder(parent, weight):
 
 
 @kernel
-def _column_counts(start, neighbour, parent, post):  # noqa: C901 (a kernel)
+def _column_counts(  # noqa: C901 (a kernel)
+    start: Array, neighbour: Array, parent: Array, post: Array
+) -> Array:
     """Count, for each column, the leaves of the row subtrees that hang on it."""
     n = parent.size
     first = np.full(n, -1, np.int32)  # descendant that comes first in the postorder
@@ -241,7 +243,9 @@ def _column_counts(start, neighbour, parent, post):  # noqa: C901 (a kernel)
 
 
 @kernel
-def _fronts(parent, count, small, zeros_in_small, zeros_in_large):
+def _fronts(
+    parent: Array, count: Array, small: int, zeros_in_small: float, zeros_in_large: float
+) -> Array:
     """Which columns begin a front, the nodes in postorder.
 
     From the last column back, a run of columns of one pattern joins the front of its parent
@@ -275,7 +279,7 @@ def _fronts(parent, count, small, zeros_in_small, zeros_in_large):
 
 
 @kernel
-def _rows(start, neighbour, front_of, above, row_start):
+def _rows(start: Array, neighbour: Array, front_of: Array, above: Array, row_start: Array) -> Array:
     """Rows below each front: from each edge up the tree, until the row itself is eliminated."""
     row = np.empty(row_start[-1], np.int32)
     fill = row_start[:-1].copy()
@@ -294,7 +298,9 @@ def _rows(start, neighbour, front_of, above, row_start):
 
 
 @kernel
-def _slots(a, b, front_of, first, row_start, row, place):
+def _slots(
+    a: Array, b: Array, front_of: Array, first: Array, row_start: Array, row: Array, place: Array
+) -> Array:
     slot = np.empty(a.size, np.int64)
     for e in range(a.size):
         low, high = min(a[e], b[e]), max(a[e], b[e])
@@ -316,7 +322,7 @@ def _slots(a, b, front_of, first, row_start, row, place):
 
 
 @kernel
-def _stacked(row_start, children):
+def _stacked(row_start: Array, children: Array) -> int:
     """Most entries on the stack of what fronts hand on."""
     waiting = np.empty(children.size + 1, np.int64)
     count, top, most = 0, 0, 0

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.linear.elimination import Symbolic, analyse
 from demflow.model.memory import foresee
 from demflow.model.outcome import ModelError
@@ -81,8 +81,17 @@ def solve(factor: Factor, rhs: np.ndarray) -> np.ndarray:
 
 @kernel
 def _numeric(
-    first, row_start, row, place, children, stacked, widest, edge_slot, conductance, excess
-):
+    first: Array,
+    row_start: Array,
+    row: Array,
+    place: Array,
+    children: Array,
+    stacked: int,
+    widest: int,
+    edge_slot: Array,
+    conductance: Array,
+    excess: Array,
+) -> tuple[Array, Array]:
     fronts = children.size
     lower = np.zeros(place[fronts])
     for e in range(edge_slot.size):
@@ -128,7 +137,7 @@ def _numeric(
 
 
 @kernel
-def _largest(first, row_start):
+def _largest(first: Array, row_start: Array) -> int:
     most = 0
     for s in range(first.size - 1):
         width = first[s + 1] - first[s]
@@ -137,7 +146,9 @@ def _largest(first, row_start):
 
 
 @kernel
-def _hand_on(stack, top, theirs, at, panel, width, rest, m):
+def _hand_on(
+    stack: Array, top: int, theirs: Array, at: Array, panel: Array, width: int, rest: Array, m: int
+) -> None:
     """Add the edges between `theirs` rows to a front and its rest."""
     height = width + m
     for q in range(theirs.size):
@@ -155,7 +166,16 @@ def _hand_on(stack, top, theirs, at, panel, width, rest, m):
 
 
 @kernel
-def _eliminate_front(panel, width, m, begin, rows, excess, pivot, weight):
+def _eliminate_front(
+    panel: Array,
+    width: int,
+    m: int,
+    begin: int,
+    rows: Array,
+    excess: Array,
+    pivot: Array,
+    weight: Array,
+) -> None:
     """Eliminate a front's own nodes: columns of edge conductances become columns of L.
 
     pivot = excess + Σ edges; an eliminated node's excess goes to its neighbours, each by its
@@ -194,7 +214,19 @@ def _eliminate_front(panel, width, m, begin, rows, excess, pivot, weight):
 
 
 @kernel
-def _add_products(target, t0, step, q0, q1, end, source, s0, height, width, weight):
+def _add_products(
+    target: Array,
+    t0: int,
+    step: int,
+    q0: int,
+    q1: int,
+    end: int,
+    source: Array,
+    s0: int,
+    height: int,
+    width: int,
+    weight: Array,
+) -> None:
     """target[t0 + q step + r] += Σ_k weight[q − q0, k] source[s0 + k height + r], q < r < end.
 
     For columns q0 ≤ q < q1; two of them and four products at a time.
@@ -246,7 +278,16 @@ def _add_products(target, t0, step, q0, q1, end, source, s0, height, width, weig
 
 
 @kernel
-def _substitute(first, row_start, row, place, widest, lower, pivot, x):
+def _substitute(
+    first: Array,
+    row_start: Array,
+    row: Array,
+    place: Array,
+    widest: int,
+    lower: Array,
+    pivot: Array,
+    x: Array,
+) -> None:
     """Solve L D Lᵀ x = x in place, (n,)."""
     below = np.empty(widest)
     for s in range(first.size - 1):
@@ -282,7 +323,9 @@ def _substitute(first, row_start, row, place, widest, lower, pivot, x):
 
 
 @kernel
-def _substitute_several(first, row_start, row, place, lower, pivot, x):
+def _substitute_several(
+    first: Array, row_start: Array, row: Array, place: Array, lower: Array, pivot: Array, x: Array
+) -> None:
     """The same for several right-hand sides at once, (n, k)."""
     sides = x.shape[1]
     for s in range(first.size - 1):

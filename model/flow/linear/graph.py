@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 
 
 class Graph(NamedTuple):
@@ -39,7 +39,7 @@ def breadth_first(graph: Graph) -> np.ndarray:
 
 
 @kernel
-def _adjacency(n, i, j):
+def _adjacency(n: int, i: Array, j: Array) -> tuple[Array, Array]:
     start = np.zeros(n + 1, np.int32)
     for e in range(i.size):
         if i[e] != j[e]:
@@ -72,7 +72,7 @@ def _adjacency(n, i, j):
 
 
 @kernel
-def _renumber(start, neighbour, order, rank):
+def _renumber(start: Array, neighbour: Array, order: Array, rank: Array) -> tuple[Array, Array]:
     new_start = np.empty_like(start)
     new = np.empty_like(neighbour)
     new_start[0] = 0
@@ -86,7 +86,7 @@ def _renumber(start, neighbour, order, rank):
 
 
 @kernel
-def _breadth_first(start, neighbour):
+def _breadth_first(start: Array, neighbour: Array) -> Array:
     n = start.size - 1
     order = np.empty(n, np.int32)
     seen = np.zeros(n, np.bool_)

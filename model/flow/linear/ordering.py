@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.linear.graph import Graph, breadth_first, renumbered
 
 # A node with more than this times √n neighbours is eliminated last: it would be scanned too
@@ -47,7 +47,7 @@ def minimum_degree(graph: Graph, room: float = 1.25) -> np.ndarray:
 
 
 @kernel
-def _eliminate(start, entry):
+def _eliminate(start: Array, entry: Array) -> Array:
     """Eliminate all nodes; the order."""
     n = start.size - 1
     node = np.empty((n, FIELDS), np.int32)
@@ -101,7 +101,7 @@ def _eliminate(start, entry):
 
 
 @kernel
-def _enlist(node, head, i, d):
+def _enlist(node: Array, head: Array, i: int, d: int) -> None:
     """Put a variable into the list of a degree."""
     if head[d] != NONE:
         node[head[d], BEFORE] = i
@@ -112,7 +112,7 @@ def _enlist(node, head, i, d):
 
 
 @kernel
-def _delist(node, head, i):
+def _delist(node: Array, head: Array, i: int) -> None:
     """Take a variable from the list of its degree."""
     a, b = node[i, AFTER], node[i, BEFORE]
     if a != NONE:
@@ -124,7 +124,7 @@ def _delist(node, head, i):
 
 
 @kernel
-def _squeeze(entry, node, used):
+def _squeeze(entry: Array, node: Array, used: int) -> int:
     """Move the lists together; the first free entry."""
     for k in range(len(node)):
         p = node[k, PLACE]
@@ -147,7 +147,7 @@ def _squeeze(entry, node, used):
 
 
 @kernel
-def _gather(entry, node, head, k, free):
+def _gather(entry: Array, node: Array, head: Array, k: int, free: int) -> int:
     """Make variable k an element: all that it is joined to by edges or by elements.
 
     Those elements are absorbed; its variables leave their degree lists and carry a negative
@@ -183,7 +183,7 @@ def _gather(entry, node, head, k, free):
 
 
 @kernel
-def _forget(node):
+def _forget(node: Array) -> int:
     """Start the stamps anew."""
     for k in range(len(node)):
         if node[k, MARK] != 0:
@@ -192,7 +192,7 @@ def _forget(node):
 
 
 @kernel
-def _measure_elements(entry, node, k, stamp):
+def _measure_elements(entry: Array, node: Array, k: int, stamp: int) -> None:
     """The mark of each element that meets element k becomes stamp + its size outside of k."""
     for p in range(node[k, PLACE], node[k, PLACE] + node[k, LENGTH]):
         i = entry[p]
@@ -206,7 +206,9 @@ def _measure_elements(entry, node, k, stamp):
 
 
 @kernel
-def _bound_degrees(entry, node, host, bucket, k, stamp):
+def _bound_degrees(
+    entry: Array, node: Array, host: Array, bucket: Array, k: int, stamp: int
+) -> int:
     """Prune the lists of element k's variables, bound their degrees, and hash their lists.
 
     Elements wholly inside k are absorbed; a variable joined to k alone is eliminated with it.
@@ -258,7 +260,7 @@ def _bound_degrees(entry, node, host, bucket, k, stamp):
 
 
 @kernel
-def _merge(node, host, i, into):
+def _merge(node: Array, host: Array, i: int, into: int) -> None:
     """Variable i is no more; `into` stands for it."""
     host[i] = into
     node[i, SIZE] = 0
@@ -267,7 +269,7 @@ def _merge(node, host, i, into):
 
 
 @kernel
-def _merge_alike(entry, node, host, bucket, k, stamp):
+def _merge_alike(entry: Array, node: Array, host: Array, bucket: Array, k: int, stamp: int) -> int:
     """Merge variables of element k whose lists are the same; the next free stamp."""
     for p in range(node[k, PLACE], node[k, PLACE] + node[k, LENGTH]):
         i = entry[p]
@@ -301,7 +303,7 @@ def _merge_alike(entry, node, host, bucket, k, stamp):
 
 
 @kernel
-def _close(entry, node, head, k, left):
+def _close(entry: Array, node: Array, head: Array, k: int, left: int) -> int:
     """Put what is left of element k's variables back into degree lists; the least degree."""
     first = node[k, PLACE]
     end = first
@@ -326,7 +328,7 @@ def _close(entry, node, head, k, left):
 
 
 @kernel
-def _order(host, pivots):
+def _order(host: Array, pivots: Array) -> Array:
     """Pivots in their order, each followed by the nodes that were merged into it."""
     n = host.size
     rank = np.full(n, NONE, np.int32)

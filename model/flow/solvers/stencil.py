@@ -14,7 +14,7 @@ import numpy as np
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.equation.algebraic import Algebraic
 from demflow.model.flow.equation.system import System
 
@@ -161,7 +161,16 @@ def _parts(places: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def march(p, q, integral, count, dt, s, driven, well_source):
+def march(
+    p: Array,
+    q: Array,
+    integral: Array,
+    count: int,
+    dt: float,
+    s: Stencil,
+    driven: Driven,
+    well_source: Array,
+) -> tuple[Array, Array]:
     """Advance p (n,) by `count` steps, with q (n,) as scratch; returns both, p first.
 
     `integral` gathers ∫ p dt of the unknowns of the rim, as Euler sees it.
@@ -181,7 +190,16 @@ def march(p, q, integral, count, dt, s, driven, well_source):
 
 
 @kernel
-def _advance(p, q, integral, dt, s, driven, well_source, chunk):
+def _advance(
+    p: Array,
+    q: Array,
+    integral: Array,
+    dt: float,
+    s: Stencil,
+    driven: Driven,
+    well_source: Array,
+    chunk: int,
+) -> None:
     """Put one step of a chunk into q, and of the wells whose last pores it holds."""
     pores = s.near.shape[0]
     for k in range(s.rim_start[chunk], s.rim_start[chunk + 1]):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.equation.algebraic import Algebraic
 from demflow.model.flow.equation.outputs import Records
 from demflow.model.flow.equation.system import System
@@ -333,7 +333,9 @@ def _last_column(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
 
 
 @kernel
-def _edge_differences(vectors, edge_i, edge_j, root_g, lo, rows):
+def _edge_differences(
+    vectors: Array, edge_i: Array, edge_j: Array, root_g: Array, lo: int, rows: Array
+) -> None:
     """Rows √g (u_i − u_j) of the edges from `lo` on, for the first columns of `vectors`."""
     for c in range(rows.shape[1]):
         for e in range(rows.shape[0]):

@@ -25,6 +25,8 @@ NO_LOADS_NO_WALLS = (0.0,) * 6 + (0,) * 4  # of `Sums`
 class StickingTrial(Trial):
     """Displaced grains whose cemented contacts hold."""
 
+    law: Linear
+
     def __init__(self, grains: Grains, box: Array, law: Linear, bonds: BondState, units: UnitLoads):
         super().__init__(grains, box, law, units)
         self.bonds, self.units = bonds, units

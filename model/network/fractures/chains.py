@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.products import Network
 from demflow.model.scene import Line
 
@@ -111,8 +111,17 @@ def _walk(network: Network, line: Line) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 @kernel
 def _follow(  # noqa: C901 (a kernel)
-    first_pipe, high, where, plus, corner_start, corner_grain, corner_pipe, left, right, bound
-):
+    first_pipe: int,
+    high: float,
+    where: Array,
+    plus: Array,
+    corner_start: Array,
+    corner_grain: Array,
+    corner_pipe: Array,
+    left: Array,
+    right: Array,
+    bound: int,
+) -> tuple[Array, Array]:
     """Walk along the line from the pore behind `first_pipe`, keeping plus grains to the left."""
     domain = np.empty(bound + 2, np.int64)
     pipe = np.empty(bound + 1, np.int64)

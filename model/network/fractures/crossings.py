@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.products import Network
 
 
@@ -43,13 +43,15 @@ def crossings(network: Network, start: np.ndarray, end: np.ndarray) -> Crossings
 
 
 @kernel
-def _cell_of(value, low, size, count):
+def _cell_of(value: float, low: float, size: float, count: int) -> int:
     """Cell of a row of `count` in which a coordinate lies; what lies outside is in the last."""
     return min(max(int((value - low) / size), 0), count - 1)
 
 
 @kernel
-def _sorted_into_cells(px, py, qx, qy, size):
+def _sorted_into_cells(
+    px: Array, py: Array, qx: Array, qy: Array, size: float
+) -> tuple[Array, Array, float, float, int, int]:
     """Segments p–q in each square cell that their boxes meet."""
     west, south = min(px.min(), qx.min()), min(py.min(), qy.min())
     columns = int((max(px.max(), qx.max()) - west) / size) + 1
@@ -77,7 +79,23 @@ def _sorted_into_cells(px, py, qx, qy, size):
 
 
 @kernel
-def _crossed(ax, ay, bx, by, px, py, qx, qy, member, first, west, south, columns, rows, size):
+def _crossed(
+    ax: Array,
+    ay: Array,
+    bx: Array,
+    by: Array,
+    px: Array,
+    py: Array,
+    qx: Array,
+    qy: Array,
+    member: Array,
+    first: Array,
+    west: float,
+    south: float,
+    columns: int,
+    rows: int,
+    size: float,
+) -> tuple[Array, Array, Array, Array]:
     """Line, segment, fraction of the segment and distance along the line of each crossing."""
     seen = np.full(px.size, -1, np.int64)
     count = 0

@@ -15,7 +15,7 @@ import math
 import numpy as np
 from scipy.spatial import cKDTree
 
-from demflow.model.compile import kernel
+from demflow.model.compile import Array, kernel
 from demflow.model.network.connectivity import component_labels
 from demflow.model.network.fractures.chains import chain_along, reach
 from demflow.model.network.fractures.crossings import Crossings, crossings
@@ -290,7 +290,9 @@ class _Traces:
 
 
 @kernel
-def _nodes(line, along, kind, known, own, spacing):
+def _nodes(
+    line: Array, along: Array, kind: Array, known: Array, own: int, spacing: float
+) -> tuple[Array, Array]:
     """Node of each place, in order along each line, and whether the place stands for a node.
 
     Kinds are 0 a junction or an end, whose node is known, 1 a crossing with a pipe, 2 a cut by
