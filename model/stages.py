@@ -319,7 +319,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=16,
+        version=17,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows,
@@ -330,7 +330,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=11,
+        version=12,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

@@ -21,6 +21,7 @@ import numpy as np
 from demflow.model.flow.equation.algebraic import algebraic
 from demflow.model.flow.equation.balance import steady_flow, transient_misfit
 from demflow.model.flow.equation.problem import (
+    LOST,
     Answer,
     Problem,
     empty_answer,
@@ -39,6 +40,8 @@ CAUTION = 2.5
 
 # Vectors over which changes are taken: the estimate is the worst of them.
 WIDTHS = (1, 2, 3, 5)
+
+POLES = 2  # used in turn; what one of them adds says nothing of the other
 
 SHORTEST = 3  # vectors before the first estimate
 
@@ -285,13 +288,13 @@ class Growth:
     def _extrapolate(self, change: Callable[[int, int], float]) -> tuple[float, float]:
         """Largest estimate and slowest rate, from the change between two sizes.
 
-        Only the narrowest goes without a change before; that is 1 then, the error of no
-        vectors. Wider ones would make loose tolerances a hundred times too tight.
+        The narrowest and one that sees both poles go without a change before; that is 1 then, the
+        error of no vectors. Wider ones would make loose tolerances a hundred times too tight.
         """
         size = self.space.size
         worst, slowest = 0.0, 0.0
         for width in WIDTHS:
-            if size <= (width if width == WIDTHS[0] else 2 * width):
+            if size <= (width if width <= POLES else 2 * width):
                 continue
             now = change(size, size - width)
             before = change(size - width, size - 2 * width) if size > 2 * width else 1.0
@@ -373,12 +376,15 @@ def _record(
     through = records.rows[flows] @ direct
     given = float(problem.system.source(source).sum() + through.sum())
     if own_flow is None:
-        pressure, integral, missing = _balanced(basis, lag, basis.rows[flows].sum(axis=0), given)
+        pressure, integral, stored, missing = _balanced(
+            problem.system, basis, lag, basis.rows[flows].sum(axis=0), given
+        )
     else:
         pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
+        stored = pressure @ basis.stored
     answer.output[source] = pressure @ basis.rows.T + alone
     answer.cumulative[source, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
-    answer.cumulative[source, :, -1] = pressure @ basis.stored
+    answer.cumulative[source, :, -1] = stored
     if own_flow is not None:
         own = problem.records.well_rows + source
         answer.output[source, :, own] = own_flow + basis.modes.own_flow(lag)
@@ -398,24 +404,30 @@ def _record(
 
 
 def _balanced(
-    basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Coefficients (l, m) of the pressure and of its integral, which keep the volume.
+    system: System, basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Coefficients (l, m) of the pressure and of its integral, and the volume stored (l,), m³.
 
     The constants lie in the space, so that what the fixed pressures let in, `let_in` (m,) of
     each vector, is what is stored less what is `given`. Behind a barrier the pressures that
     drive it are nothing but round-off beside those before it. The smallest change in the
-    C-norm restores it. What was missing (l,), m³, comes with them: in volume, or in the present
-    flow, had it been so all the time.
+    C-norm restores it, up to what round-off of pressures may do to flows. Where tight rock lets in
+    less than the round-off of its storage, the flows are right, and the volume follows from them.
+    What was missing (l,), m³, comes with it: in volume, or in the present flow, had it been so all
+    the time.
     """
     pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
-    size = float(let_in @ let_in)
-    found_missing = np.abs(pressure @ basis.stored - given * lag - integral @ let_in)
-    if size > 0.0:
-        missing = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
-        found_missing = np.maximum(found_missing, lag * np.abs(missing))
-        pressure += missing[:, None] * (let_in / size)
     missing = pressure @ basis.stored - given * lag - integral @ let_in
-    if size > 0.0:
-        integral += missing[:, None] * (let_in / size)
-    return pressure, integral, found_missing
+    size = float(let_in @ let_in)
+    if size == 0.0:
+        return pressure, integral, pressure @ basis.stored, np.abs(missing)
+    in_flow = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
+    told = np.maximum(np.abs(missing), lag * np.abs(in_flow))
+    largest = np.abs(pressure) @ np.abs(basis.vectors).max(axis=0)
+    noise = LOST * np.finfo(float).eps * float(system.fixed_g.sum()) * largest
+    pressure += np.clip(in_flow, -noise, noise)[:, None] * (let_in / size)
+    stored = pressure @ basis.stored
+    missing = stored - given * lag - integral @ let_in
+    mended = np.clip(missing, -noise * lag, noise * lag)
+    integral += mended[:, None] * (let_in / size)
+    return pressure, integral, stored - (missing - mended), told

@@ -65,6 +65,7 @@ def _share(problem: Problem, rough: Answer) -> Share:
     steps = problem.steps or one_step_each(problem)
     part = np.abs(rough.output) * steps.size[:, None, None]  # (sources, l, o)
     part[~problem.active] = 0.0
+    part[:, problem.lag == 0.0] = 0.0  # what a step lets in at once is not recorded
     field = np.abs(rough.pressure).max(axis=(1, 2), initial=0.0) * steps.size
     parts = steps.number[sources].sum()
     slack = SLACK if len(sources) > 1 else 1.0
