@@ -10,6 +10,7 @@ from demflow.model.history import History, Volumes, superposed, superposed_error
 from demflow.model.products import (
     Apertures,
     FractureNetwork,
+    Moduli,
     Network,
     Packing,
     Permeability,
@@ -55,6 +56,7 @@ def observe(
     responses: Responses | None,
     reference: Responses | None,
     traces: FractureNetwork | None,
+    moduli: Moduli | None = None,
     *,
     region: Region,
     controls: Controls,
@@ -71,53 +73,95 @@ def observe(
         "floaters": packing.floaters,
     }
     if network is not None and apertures is not None:
-        found |= {
-            "porosity": network.porosity,
-            "matrix_aperture": apertures.matrix_aperture,
-            "domain_count": np.asarray(np.count_nonzero(network.inside)),
-            "floaters": network.floaters,
-            "slivers": network.slivers,
-            "smallest_pore": _smallest(apertures, network.inside),
-            "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
-            "parted_pipes": _parted(network, stress),
-        }
+        found |= _pores(network, apertures, stress)
         if "well_pressure" in wanted:
-            found["pores_per_well"] = np.array(
-                [
-                    2.0 * well.radius / spacing_around(network, well.at, well.radius)
-                    for well in controls.wells
-                ]
-            )
+            found["pores_per_well"] = _pores_per_well(network, controls)
     if tested is not None:
         found |= {name: getattr(tested, name) for name in MEASURED_BY_A_TEST if name in wanted}
         found |= {name: getattr(tested, name) for name in CONFINEMENT}
     if stress is not None:
-        found["stress_achieved"] = stress.stress
-        found["unbalanced_ratio"] = stress.unbalanced_ratio
-        found["broken_bonds"] = stress.broken_bonds
-        found["static_solver"] = stress.static
-        found["mechanical_steps"] = stress.steps
-        found["tension_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 1))
-        found["shear_cracks"] = np.asarray(np.count_nonzero(stress.crack_mode == 2))
-        found["joint_contacts"] = np.asarray(np.count_nonzero(~np.isnan(stress.joint_gap)))
-        found["idle_joints"] = stress.idle_joints
+        found |= _stressed(stress, region, wanted)
+    if moduli is not None:
+        found |= _elastic(moduli)
     if permeability is not None:
         found["permeability"] = permeability.tensor
     if traces is not None:
         found |= _described(traces)
     if responses is not None:
-        history = superposed(responses, controls)
-        found |= observe_flow(history, controls)
-        found |= _lowest(history, controls)
-        if traces is not None:
-            found["fracture_flow_share"] = _share(traces, found, controls)
-        for key, name in ASKED_FOR_BY.items():
-            if name not in wanted:
-                found.pop(key, None)
-    if responses is not None and reference is not None:
-        flows = "boundary_flow" in wanted
-        found |= superposed_error(responses, reference, controls, flows=flows)
+        found |= _flowed(superposed(responses, controls), traces, controls, wanted)
+        if reference is not None:
+            flows = "boundary_flow" in wanted
+            found |= superposed_error(responses, reference, controls, flows=flows)
     return {name: np.asarray(value) for name, value in found.items()}
+
+
+def _pores(
+    network: Network, apertures: Apertures, stress: StressState | None
+) -> dict[str, np.ndarray]:
+    """Pores and their pipes."""
+    return {
+        "porosity": network.porosity,
+        "matrix_aperture": apertures.matrix_aperture,
+        "domain_count": np.asarray(np.count_nonzero(network.inside)),
+        "floaters": network.floaters,
+        "slivers": network.slivers,
+        "smallest_pore": _smallest(apertures, network.inside),
+        "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
+        "parted_pipes": _parted(network, stress),
+    }
+
+
+def _pores_per_well(network: Network, controls: Controls) -> np.ndarray:
+    """Diameter of each well over the spacing of the pores around it, (wells,)."""
+    spacing = [spacing_around(network, well.at, well.radius) for well in controls.wells]
+    return np.array([2.0 * w.radius / h for w, h in zip(controls.wells, spacing, strict=True)])
+
+
+def _stressed(
+    stress: StressState, region: Region, wanted: tuple[str, ...]
+) -> dict[str, np.ndarray]:
+    """How grains stand under the stress."""
+    found = {
+        "stress_achieved": stress.stress,
+        "unbalanced_ratio": stress.unbalanced_ratio,
+        "broken_bonds": stress.broken_bonds,
+        "static_solver": stress.static,
+        "mechanical_steps": stress.steps,
+        "tension_cracks": np.asarray(np.count_nonzero(stress.crack_mode == 1)),
+        "shear_cracks": np.asarray(np.count_nonzero(stress.crack_mode == 2)),
+        "joint_contacts": np.asarray(np.count_nonzero(~np.isnan(stress.joint_gap))),
+        "idle_joints": stress.idle_joints,
+    }
+    return found | _chains(stress, region) if "force_chains" in wanted else found
+
+
+def _elastic(moduli: Moduli) -> dict[str, np.ndarray]:
+    """Elastic constants of the slice, and of the rock whose slice in plane strain shows them."""
+    from demflow.model.mechanics.static.moduli import in_plane_strain
+
+    youngs_modulus, poissons_ratio = float(moduli.youngs_modulus), float(moduli.poissons_ratio)
+    rock_modulus, rock_ratio = in_plane_strain(youngs_modulus, poissons_ratio)
+    return {
+        "elastic_youngs_modulus": moduli.youngs_modulus,
+        "elastic_poissons_ratio": moduli.poissons_ratio,
+        "rock_youngs_modulus": np.asarray(rock_modulus),
+        "rock_poissons_ratio": np.asarray(rock_ratio),
+    }
+
+
+def _chains(stress: StressState, region: Region) -> dict[str, np.ndarray]:
+    """How contacts carry the stress, and what of it the region itself bears."""
+    from demflow.model.mechanics.specimen.measures import force_chains, mean_stress
+
+    forces = (stress.normal_force, stress.shear_force)
+    contacts = (stress.x, stress.y, stress.contact_a, stress.contact_b, *forces)
+    chain, tensor = force_chains(*contacts), mean_stress(region, *contacts)
+    pressed = np.maximum(stress.normal_force, 0.0)
+    return {
+        "force_chains": np.asarray(chain.max(initial=-1) + 1),
+        "chained_force_share": np.asarray(pressed[chain >= 0].sum() / max(pressed.sum(), 1e-300)),
+        "region_stress": np.array([tensor[0, 0], tensor[1, 1], tensor[0, 1]]),
+    }
 
 
 def _described(traces: FractureNetwork) -> dict[str, np.ndarray]:
@@ -179,6 +223,16 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     found["mass_imbalance"] = np.asarray(_over_moved(np.abs(books) + volumes.missing, volumes))
     found |= history.solved._asdict()
     return found | _changes(history, controls) if controls.transient else found
+
+
+def _flowed(
+    history: History, traces: FractureNetwork | None, controls: Controls, wanted: tuple[str, ...]
+) -> dict[str, np.ndarray]:
+    """What is observed of the flow, and what is asked for of what depends on it."""
+    found = observe_flow(history, controls) | _lowest(history, controls)
+    if traces is not None:
+        found["fracture_flow_share"] = _share(traces, found, controls)
+    return {k: v for k, v in found.items() if ASKED_FOR_BY.get(k) in (None, *wanted)}
 
 
 def _lowest(history: History, controls: Controls) -> dict[str, np.ndarray]:

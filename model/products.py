@@ -101,6 +101,14 @@ class StressState(NamedTuple):
     steps: Array  # () time steps taken, or corrections of the static solver
 
 
+class Moduli(NamedTuple):
+    """Elastic constants of cemented grains for small strains, in their plane."""
+
+    stiffness: Array  # (3, 3) Pa: stresses xx, yy, xy by strains xx, yy, γ_xy
+    youngs_modulus: Array  # () Pa: mean over the directions x and y
+    poissons_ratio: Array  # ()
+
+
 class StrengthTest(NamedTuple):
     """A specimen that was tested to failure; r records along the test."""
 

@@ -210,6 +210,48 @@ CASE: dict[str, Quantity] = {
         "Pa", (), "Young's modulus, secant to half of the peak stress", ("youngs_modulus",)
     ),
     "poissons_ratio": Quantity("1", (), "Poisson's ratio, in the plane", ("poissons_ratio",)),
+    "elastic_youngs_modulus": Quantity(
+        "Pa",
+        (),
+        "Young's modulus for small strains, mean over the directions x and y",
+        ("elastic_moduli",),
+        comment="of the slice as it lies, between its joints: cemented contacts of the packed "
+        "state, none of which slips or breaks",
+    ),
+    "elastic_poissons_ratio": Quantity(
+        "1", (), "Poisson's ratio for small strains, in the plane", ("elastic_moduli",)
+    ),
+    "rock_youngs_modulus": Quantity(
+        "Pa",
+        (),
+        "Young's modulus of the rock whose slice in plane strain shows these moduli",
+        ("elastic_moduli",),
+    ),
+    "rock_poissons_ratio": Quantity(
+        "1",
+        (),
+        "Poisson's ratio of the rock whose slice in plane strain shows these moduli",
+        ("elastic_moduli",),
+    ),
+    "force_chains": Quantity(
+        "1",
+        (),
+        "strings of three and more grains that are pressed more than the mean along their contacts",
+        ("force_chains",),
+        comment="Peters et al. 2005, Phys. Rev. E 72, 041307, within 45 degrees",
+    ),
+    "chained_force_share": Quantity(
+        "1",
+        (),
+        "share of the sum of contact forces that force chains carry",
+        ("force_chains",),
+    ),
+    "region_stress": Quantity(
+        "Pa",
+        ("component",),
+        "mean stress of the contacts within the region, positive in compression",
+        ("force_chains",),
+    ),
     "peak_strength": Quantity(
         "Pa", (), "largest axial stress of the test to failure", ("peak_strength",)
     ),

@@ -30,6 +30,7 @@ from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TO
 from demflow.model.products import (
     Apertures,
     FractureNetwork,
+    Moduli,
     Network,
     Packing,
     Permeability,
@@ -246,6 +247,20 @@ STAGES: tuple[Stage, ...] = (
         product=StressState,
     ),
     Stage(
+        name="moduli",
+        function="demflow.model.mechanics.static.moduli:elastic_moduli",
+        version=1,
+        parents=("pack",),
+        reads={
+            "normal_stiffness": lambda s: s.grains.contact_stiffness,
+            "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
+            "friction": lambda s: s.grains.friction,
+            "bonds": lambda s: s.bonds,
+        },
+        wanted=lambda s: s.needs("moduli"),
+        product=Moduli,
+    ),
+    Stage(
         name="strength",
         function="demflow.model.mechanics.loading.strength:strength",
         version=5,
@@ -365,7 +380,7 @@ STAGES: tuple[Stage, ...] = (
         version=10,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
-            *("measure", "flow", "reference", "fractures"),
+            *("measure", "flow", "reference", "fractures", "moduli"),
         ),
         reads={
             "region": lambda s: s.region,

@@ -48,6 +48,8 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "peak_strength": ("strength",),
     "crack_count": ("strength",),
     "fracture_network": ("fractures",),
+    "elastic_moduli": ("moduli",),
+    "force_chains": ("stress",),
 }
 MEASURED_BY_A_TEST = tuple(name for name, stages in OBSERVABLES.items() if "strength" in stages)
 
@@ -56,6 +58,8 @@ _OBSERVED = {
     "well_pressure": ("wells", "there is no well"),
     "probe_pressure": ("probes", "there is no probe"),
     "boundary_flow": ("boundaries", "every side is sealed"),
+    "elastic_moduli": ("bonds", "there are no bonds"),
+    "force_chains": ("stress", "there is no stress"),
 }
 
 
@@ -187,6 +191,8 @@ class Scene:
         if self.tests and self.test is None:
             what = "moduli, strength and cracks are measured by a test; describe it, for instance "
             yield "test", what + "{kind: biaxial, confining_stress: 1 MPa}"
+        if self.needs("moduli"):
+            yield from self._moduli_problems()
         for name, part in (("matrix", self.matrix), ("fluid", self.fluid)):
             if self.porous and part is None:
                 yield name, f"what is observed needs a {name}"
@@ -194,6 +200,13 @@ class Scene:
             yield "matrix.half_force", "apertures follow forces only under a stress"
         if self.matrix is not None and self.matrix.half_stress is not None and self.stress is None:
             yield "matrix.half_stress", "apertures follow forces only under a stress"
+
+    def _moduli_problems(self) -> Problems:
+        """What the elastic moduli of cemented grains cannot tell."""
+        if self.grains.contact_stiffness is None:
+            yield "grains.modulus", "elastic_moduli need modulus or normal_stiffness"
+        if self.grains.contact_law is not None:
+            yield "observe", "elastic_moduli are of linear contacts that do not resist rolling"
 
     def _transient_problems(self) -> Problems:
         """What a transient lacks, and what is wrong with its start."""

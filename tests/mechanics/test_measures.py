@@ -9,10 +9,11 @@ from demflow.model.mechanics.packing.packing import pack
 from demflow.model.mechanics.packing.packing_targets import PRESSURE, by_porosity
 from demflow.model.mechanics.packing.sizes import sizes_of
 from demflow.model.mechanics.specimen import measures
-from demflow.model.region import Circle, Polygon
-from demflow.model.scene import Bonds
+from demflow.model.region import Circle, Polygon, Rectangle
+from demflow.model.scene import Bonds, Grains, Scene, SceneError, Stress
+from demflow.model.stages import run_stages
 from tests.mechanics.rocks import REGIONS, packed
-from tests.mechanics.test_stress import loaded
+from tests.mechanics.test_stress import KN, loaded
 
 
 def test_affine_strain_is_found_whatever_the_rotation() -> None:
@@ -77,6 +78,33 @@ def test_force_chains_follow_the_larger_stress() -> None:
     along = np.abs(dx) / np.hypot(dx, dy)
     assert along[held].mean() > along.mean() + 0.05
     assert sorted(set(chain[held])) == list(range(chain.max() + 1))
+
+
+def test_a_lattice_bears_in_the_region_what_its_walls_bear_in_chains() -> None:
+    """Square lattice under 2:1: rows along x are chains, and nothing else is."""
+    scene = Scene(
+        region=Rectangle(2.0, 2.0),
+        grains=Grains(count=400, packing="square", modulus=KN),
+        bonds=Bonds(kind="contact", tensile_strength=1e9, shear_strength=1e9),
+        stress=Stress(20e6, 10e6),
+        observe=("force_chains", "elastic_moduli"),
+    )
+    made = run_stages(scene)
+    seen = made["observe"]
+    np.testing.assert_allclose(seen["region_stress"], [20e6, 10e6, 0.0], rtol=0.02, atol=0.1e6)
+    assert 0.6 < seen["chained_force_share"] < 0.7  # two of three parts, but for the rim
+    assert seen["force_chains"] == len(np.unique(made["pack"].y.round(6)))
+    # k_n along rows, nothing across
+    assert seen["elastic_youngs_modulus"] == pytest.approx(KN, rel=0.02)
+    assert seen["elastic_poissons_ratio"] == pytest.approx(0.0, abs=0.01)
+    assert seen["rock_youngs_modulus"] == pytest.approx(KN, rel=0.02)
+
+
+@pytest.mark.parametrize("word", ["force_chains", "elastic_moduli"])
+def test_what_lacks_a_load_or_cement_is_refused(word: str) -> None:
+    grains = Grains(count=400, packing="square", modulus=KN)
+    with pytest.raises(SceneError, match=r"there (is no stress|are no bonds)"):
+        Scene(region=Rectangle(2.0, 2.0), grains=grains, observe=(word,))
 
 
 def test_a_row_under_its_ends_is_one_chain() -> None:

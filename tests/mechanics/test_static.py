@@ -162,7 +162,9 @@ def test_same_state_whatever_was_solved_before() -> None:
 @pytest.mark.parametrize("kind", ["contact", "parallel"])
 def test_hexagonal_lattice_has_its_closed_form_moduli(kind: str, ratio: float) -> None:
     rock = packed(None, kind="hexagonal", count=200)
-    found = elastic_moduli(rock, stiffness_ratio=ratio, friction=0.5, bonds=STRONG[kind])
+    found = elastic_moduli(
+        rock, normal_stiffness=1.0, stiffness_ratio=ratio, friction=0.5, bonds=STRONG[kind]
+    )
     kn = 1.0 if kind == "contact" else 2.0  # cement: E_c 2 R / (2 R) = k_n
     ks = kn / ratio
     assert found.youngs_modulus == pytest.approx(
@@ -177,7 +179,9 @@ def test_lattice_cemented_across_gaps_has_the_moduli_of_its_cement(ratio: float)
     rock = packed(None, kind="hexagonal", count=200)
     solid = 0.98**2 * (1.0 - float(rock.porosity))
     rock = rock._replace(radius=0.98 * rock.radius, porosity=np.array(1.0 - solid))
-    found = elastic_moduli(rock, stiffness_ratio=ratio, friction=0.5, bonds=STRONG["parallel"])
+    found = elastic_moduli(
+        rock, normal_stiffness=1.0, stiffness_ratio=ratio, friction=0.5, bonds=STRONG["parallel"]
+    )
     kn, ks = 1.0, 1.0 / ratio
     modulus = 2 * np.sqrt(3) * kn * (kn + ks) / (3 * kn + ks)
     assert found.youngs_modulus == pytest.approx(modulus, rel=1e-6)
@@ -189,7 +193,9 @@ def test_moduli_are_those_of_the_elastic_energy(gap: float) -> None:
     """Energy per area is half of strain × stiffness × strain, however stress is averaged."""
     rock = packed(0.165, count=1000)
     cement = replace(STRONG["parallel"], installation_gap=gap)
-    found = elastic_moduli(rock, stiffness_ratio=2.5, friction=0.5, bonds=cement)
+    found = elastic_moduli(
+        rock, normal_stiffness=1.0, stiffness_ratio=2.5, friction=0.5, bonds=cement
+    )
     specimen = build_specimen(rock, 1.0, 2.5, 0.5, cement)
     grains, n = specimen.grains, len(rock.x)
     inside = np.max(np.abs([grains.x, grains.y]), axis=0) < specimen.box[1] - RIM

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.compile import Array, kernel
-from demflow.model.flow.linear.graph import Graph, graph_of, inverse, renumbered
+from demflow.model.flow.linear.graph import graph_of, inverse, renumbered
 from demflow.model.flow.linear.ordering import minimum_degree
 
 # Fronts join while explicit zeros are at most this part of their entries: small ones save
@@ -97,11 +97,11 @@ def analyse_anew(n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:
     graph = graph_of(n, i, j)
     order = minimum_degree(graph)
     by_degree = renumbered(graph, order)
-    parent = _elimination_tree(*by_degree)
-    post = _postorder(parent, np.zeros(n, dtype=np.int64))
-    count = _column_counts(*by_degree, parent, post)
+    parent = elimination_tree(*by_degree)
+    post = postorder(parent, np.zeros(n, dtype=np.int64))
+    count = column_counts(*by_degree, parent, post)
     # children with larger columns last: they are the ones to join their parent's front
-    post = _postorder(parent, count)
+    post = postorder(parent, count)
     order, count = order[post], count[post]
     parent = np.append(inverse(post), np.int32(-1))[parent[post]]
     begins = _fronts(parent, count, SMALL_FRONT, ZEROS_IN_SMALL, ZEROS)
@@ -127,15 +127,9 @@ def analyse_anew(n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:
     )
 
 
-def column_counts(graph: Graph) -> np.ndarray:
-    """Entries below the diagonal of each column of the factor, nodes eliminated as numbered."""
-    parent = _elimination_tree(*graph)
-    post = _postorder(parent, np.zeros(len(parent), dtype=np.int64))
-    return np.asarray(_column_counts(*graph, parent, post))
-
-
 @kernel
-def _elimination_tree(start: Array, neighbour: Array) -> Array:
+def elimination_tree(start: Array, neighbour: Array) -> Array:
+    """Parent of each column (Liu 1990), −1 of a root."""
     n = start.size - 1
     parent = np.full(n, -1, np.int32)
     ancestor = np.full(n, -1, np.int32)
@@ -152,7 +146,7 @@ def _elimination_tree(start: Array, neighbour: Array) -> Array:
 
 
 @kernel
-def _postorder(parent: Array, weight: Array) -> Array:
+def postorder(parent: Array, weight: Array) -> Array:
     """Nodes of a forest, children before parents, lighter children first."""
     n = parent.size
     heaviest = 0
@@ -197,7 +191,7 @@ def _postorder(parent: Array, weight: Array) -> Array:
 
 
 @kernel
-def _column_counts(  # noqa: C901 (a kernel)
+def column_counts(  # noqa: C901 (a kernel)
     start: Array, neighbour: Array, parent: Array, post: Array
 ) -> Array:
     """Count, for each column, the leaves of the row subtrees that hang on it."""

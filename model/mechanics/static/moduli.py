@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.sparse import csc_array
 
@@ -19,7 +17,8 @@ from demflow.model.mechanics.static.stiffness import (
     solve,
     springs,
 )
-from demflow.model.products import Packing
+from demflow.model.outcome import ModelError
+from demflow.model.products import Moduli, Packing
 from demflow.model.scene import Bonds
 
 RIM = 4.0  # mean radii from the walls in which grains follow the strain
@@ -27,16 +26,13 @@ REFINEMENTS = 4
 STRAINS = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # xx, yy, γ
 
 
-class Moduli(NamedTuple):
-    """Elastic constants of a specimen in its plane, over k_n."""
-
-    stiffness: Array  # (3, 3): stresses xx, yy, xy by strains xx, yy, γ_xy
-    youngs_modulus: float  # mean over the directions x and y
-    poissons_ratio: float
-
-
 def elastic_moduli(
-    packing: Packing, *, stiffness_ratio: float, friction: float, bonds: Bonds
+    packing: Packing,
+    *,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds,
 ) -> Moduli:
     """Moduli of a packing that is bonded as `stress.load` does, for small strains.
 
@@ -44,8 +40,18 @@ def elastic_moduli(
 
     Grains within RIM of the walls follow the strain without rotation, the others find
     equilibrium. Stress is the mean over these, Σ f ⊗ l / 2 over their areas π r² / (1 − φ).
+
+    Parameters
+    ----------
+    packing : the packed state.
+    normal_stiffness : k_n of contacts, N/m per metre of depth.
+    stiffness_ratio : k_n / k_s.
+    friction : Coulomb coefficient; without effect before anything slips.
+    bonds : cement on all contacts of the packed state; its strengths do not matter.
+
+    Raises ModelError where no grain lies far enough from the walls.
     """
-    specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
+    specimen = build_specimen(packing, normal_stiffness, stiffness_ratio, friction, bonds)
     grains, box, n = specimen.grains, specimen.box, len(specimen.grains.x)
     none = np.empty(0, np.int64)
     contacts = contacts_of(specimen)._replace(walls=(none, none, none, none))
@@ -57,6 +63,8 @@ def elastic_moduli(
         & (grains.y > box[2] + RIM)
         & (grains.y < box[3] - RIM)
     )
+    if not np.any(inside):
+        raise ModelError("too few grains for elastic_moduli; raise grains.count")
     free, fixed = np.flatnonzero(np.repeat(inside, 3)), np.flatnonzero(np.repeat(~inside, 3))
     inner = csc_array(stiffness[free][:, free])
     factor = factorise(inner)
@@ -84,11 +92,11 @@ def elastic_moduli(
                 0.5 * np.sum(weight * (fx * dy + fy * dx)) / area,
             ]
         )
-    tensor = np.array(columns).T
+    tensor = normal_stiffness * np.array(columns).T
     compliance = np.linalg.inv(tensor)
     modulus = 0.5 * (1.0 / compliance[0, 0] + 1.0 / compliance[1, 1])
     ratio = -0.5 * (compliance[0, 1] + compliance[1, 0]) * modulus
-    return Moduli(tensor, float(modulus), float(ratio))
+    return Moduli(tensor, np.asarray(modulus), np.asarray(ratio))
 
 
 def in_plane_strain(modulus: float, ratio: float) -> tuple[float, float]:
