@@ -58,6 +58,7 @@ SWEEP = (
     ("sweep.figures",),
     ("sweep.report",),
     ("sweep.engine",),
+    ("sweep.fitting",),
     ("sweep.command",),
 )
 HALLS = ("model", "model.mechanics", "model.flow", "sweep")  # hold rooms and nothing else
@@ -67,6 +68,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.plan": ("model.stages",),
     "sweep.execution": ("model.stages", "model.products", "model.memory", "model.compilation"),
     "sweep.dataset": ("model.maps", "model.products"),
+    "sweep.fitting": ("model.stages", "model.transient"),
     "sweep.command": ("model.compilation",),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),

@@ -1,4 +1,4 @@
-"""The command `demflow`: run, check, plan, status, collect, report, export, verify, clean, schema.
+"""The command `demflow`: run, check, plan, status, report, fit and what else there is below.
 
 Data go to stdout, messages and progress to stderr. Exit status: 0 all cases good, 1 some
 case failed or the run could not go on, for want of disk or of workers (the rest is there), 2
@@ -26,6 +26,7 @@ from demflow.sweep.command.commands import (
     clean,
     collect,
     export,
+    fit,
     plan,
     report,
     run,
@@ -163,6 +164,9 @@ def parser() -> argparse.ArgumentParser:
     add_results(add(status))
     add_results(add(collect))
     add_results(add(report))
+    add_results(add(fit)).add_argument(
+        "--no-figure", action="store_true", help="write the numbers only"
+    )
     exporting = add(export, takes_study=False)
     exporting.add_argument(
         "folder", metavar="RESULTS/STUDY", type=Path, help="folder of the study's results"

@@ -54,13 +54,35 @@ def run(options: argparse.Namespace) -> int:
     return SOME_FAILED if finished.failed else GOOD
 
 
+def fit(options: argparse.Namespace) -> int:
+    """Fit a model to measured data, with intervals.
+
+    The study's block `fit` says what is fitted to which of its `data`: reservoir models by name,
+    or parameters of its scene. Numbers and figure go to results/<study>/fit/.
+    """
+    from demflow.sweep.fitting.fitted import fit_study, summary, told
+
+    fitted = fit_study(
+        options.study, options.results, smoke=options.smoke, tell=say, figure=not options.no_figure
+    )
+    if options.json:
+        _print_json(summary(fitted))
+    else:
+        for line in told(fitted):
+            show(line)
+    if fitted.figure is not None:
+        say(f"figure: {fitted.figure}")
+    say(f"numbers: {fitted.folder / 'fit.json'}")
+    return GOOD
+
+
 def check(options: argparse.Namespace) -> int:
     """Validate a study: every problem at once."""
     from demflow.sweep.command.traces import told_traces
     from demflow.sweep.study.load import load_study
 
     try:
-        study = load_study(options.study)
+        study = load_study(options.study, alone=True)
     except StudyError as error:
         if options.json:
             keys = ("path", "line", "column", "message")
@@ -70,7 +92,12 @@ def check(options: argparse.Namespace) -> int:
             show(str(error))
         return WRONG
     cases = _product(study.shape) if study.kept is None else int(study.kept.sum())
-    summary = told_traces(study)
+    cases = cases if study.values else 0  # without a scene nothing runs
+    summary = told_traces(study) if study.values else []
+    for test in study.data.values():
+        summary += [
+            f"data.{test.name}: {one}" for one in (_count(len(test.time), "point"), *test.notes)
+        ]
     if options.json:
         good = {"valid": True, "problems": [], "study": study.name, "cases": cases}
         _print_json(good | {"traces": summary})

@@ -15,10 +15,11 @@ from demflow.sweep.study.load import Study
 from demflow.sweep.study.sections import KEPT
 
 REPORT_FILE, FIGURES = "report.html", "figures"
+FITS = "fit"  # folder of what `demflow fit` finds
 UNFINISHED_FILE = "unfinished.yaml"  # the study of a run that has not collected yet
 SOURCE_FILE = "study.path"  # where the study's own file lies
 MARKS = {f"{DATASET_FILE}.sha256", UNFINISHED_FILE, SOURCE_FILE}  # nobody else has such files
-OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES, KEPT} | MARKS
+OWN = {STUDY_FILE, DATASET_FILE, REPORT_FILE, FIGURES, FITS, KEPT} | MARKS
 
 
 def check_free(folder: Path, study: Study) -> None:

@@ -33,6 +33,8 @@ from demflow.sweep.study.axes import (
 )
 from demflow.sweep.study.blocks import block_of
 from demflow.sweep.study.expect import EXPECT, Expectation
+from demflow.sweep.study.fits import FitRequest, asks_for_models, read_fit
+from demflow.sweep.study.measured import MeasuredTest, read_data
 from demflow.sweep.study.overrides import overlaid
 from demflow.sweep.study.samples import NAME as SAMPLED
 from demflow.sweep.study.samples import cases_of, is_drawn, read_sample, sampled_axis
@@ -66,6 +68,7 @@ MANY_NAMES = 50  # of them, from which on fewer combinations are checked
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
     *("sample", "where", "limits", "figures", "expect", "smoke"),
+    *("data", "fit"),
 )
 NAME_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}"
 RESERVED_NAMES = ("store",)  # results/store holds the products of all studies
@@ -125,6 +128,8 @@ class Study:
     promised: tuple[Expectation, ...] = ()  # one for all cases, or one for each variant; or none
     files: Mapping[str, NamedFile] = field(default_factory=dict)  # by the name of their kept copy
     kept: np.ndarray | None = None  # bool of the shape: combinations that are cases; None: all
+    data: Mapping[str, MeasuredTest] = field(default_factory=dict)
+    fit: FitRequest | None = None
 
     def expectation(self, index: Sequence[int]) -> Expectation:
         """How the case at a position along each axis should end."""
@@ -143,27 +148,28 @@ class Study:
         return self.kept is not None and not self.kept[tuple(index)]
 
 
-def load_study(path: str | Path, *, smoke: bool = False) -> Study:
+def load_study(path: str | Path, *, smoke: bool = False, alone: bool = False) -> Study:
     """Read and check a study file.
 
     Parameters
     ----------
     path : the YAML file.
     smoke : apply the overrides of its `smoke` block (they are checked in any case).
+    alone : take a study without a scene, too, that fits reservoir models to its data.
 
     Raises
     ------
     StudyError : with every problem of the file, each at its line and column.
     """
     source = read_source(path)
-    full, reading = _interpret(source, source.root)
+    full, reading = _interpret(source, source.root, alone)
     problems = [*source.problems, *reading.problems]
     small = full
     override = source.root.entries.get("smoke")
     if override is not None and not (isinstance(override, Scalar) and override.empty):
         root, written, smoke_problems = overlaid(source.root, override)
         problems += smoke_problems
-        small, reading = _interpret(source, root)
+        small, reading = _interpret(source, root, alone)
         known = {(problem.line, problem.column, problem.message) for problem in problems}
         problems += [
             problem
@@ -178,16 +184,20 @@ def load_study(path: str | Path, *, smoke: bool = False) -> Study:
     return replace(small, smoke=True, files=files) if smoke else replace(full, files=files)
 
 
-def _interpret(source: Source, root: yaml_source.Mapping) -> tuple[Study | None, Reading]:
+def _interpret(
+    source: Source, root: yaml_source.Mapping, alone: bool
+) -> tuple[Study | None, Reading]:
     """The study that a tree of nodes stands for, or None where there are problems."""
     reading = Reading(folder=source.path.parent)
     try:
-        return _study_of(source, root, reading), reading
+        return _study_of(source, root, reading, alone), reading
     except TooManyProblems:
         return None, reading
 
 
-def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> Study | None:
+def _study_of(
+    source: Source, root: yaml_source.Mapping, reading: Reading, alone: bool
+) -> Study | None:
     """The study that a tree of nodes stands for, or None; `reading` gets the problems."""
     entries = root.entries
     meant: set[str | None] = set()  # keys that misspelt ones stand for
@@ -196,6 +206,9 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
             meant.add(report_unknown(key, place, KEYS, "", reading, at="the study"))
     name = "" if "study" in meant else _name(entries.get("study"), reading)
     title = _title(entries.get("title"), reading) or name
+    tests = read_data(entries.get("data"), reading)
+    if "scene" not in entries and asks_for_models(entries.get("fit")):
+        return _without_scene(source, root, name, title, tests, reading, alone)
     drafts = read_drafts(without_variants(entries.get("vary")), reading)
     variants = read_variants(root, reading)
     scenes = _scenes_of(root, variants, meant, reading)
@@ -210,6 +223,8 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
     blocks = _blocks_of(root, reading)
     _check_scenes(values, axes, reading, kept, combine=count <= MAX_CASES)
     _check_figures(blocks["figures"], values, reading)
+    _check_wells(tests, values, reading)
+    fit = read_fit(entries.get("fit"), tests, values, reading)
     if reading.problems:
         return None
     return Study(
@@ -226,7 +241,48 @@ def _study_of(source: Source, root: yaml_source.Mapping, reading: Reading) -> St
         promised=promised,
         files=reading.files,
         kept=kept,
+        data=tests,
+        fit=fit,
     )
+
+
+def _without_scene(
+    source: Source,
+    root: yaml_source.Mapping,
+    name: str,
+    title: str,
+    tests: Mapping[str, MeasuredTest],
+    reading: Reading,
+    alone: bool,
+) -> Study | None:
+    """A study that only fits reservoir models to measured tests."""
+    for key in ("vary", "observe", "solver", "sample", "where", "expect"):
+        if key in root.entries:
+            reading.report(root.keys[key], f"'{key}' is for a scene, and the study has none")
+    if not alone:
+        what = "the study has no scene, so that nothing is run; `demflow fit` fits its models"
+        reading.report(Place(1, 1), what)
+    fit = read_fit(root.entries.get("fit"), tests, None, reading)
+    if reading.problems:
+        return None
+    return Study(
+        *(name, title, source.path, source.text, source.sha256, False, (), {}, Limits(), Figures()),
+        files=reading.files,
+        data=tests,
+        fit=fit,
+    )
+
+
+def _check_wells(
+    tests: Mapping[str, MeasuredTest], values: dict[str, Any], reading: Reading
+) -> None:
+    """Report measured wells that the scene does not have."""
+    for test in tests.values():
+        wells = values.get("wells") or {}
+        if test.well is not None and test.well not in wells and not reading.spoilt("wells"):
+            path = f"data.{test.name}.well"
+            hint = f"there are {', '.join(wells)}" if wells else "the scene has none"
+            reading.report(reading.place(path), f"{path}: no well is called '{test.well}'; {hint}")
 
 
 def _axes_of(

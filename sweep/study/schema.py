@@ -13,8 +13,11 @@ from typing import Any
 from demflow.sweep.study.axes import MAX_CASES
 from demflow.sweep.study.blocks import Block, Forms, Law, Listed, Named, OneOf, Words
 from demflow.sweep.study.expect import EXPECT
+from demflow.sweep.study.fits import FIT
 from demflow.sweep.study.laws import FORMS, keys_of
 from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
+from demflow.sweep.study.measured import DATA, RateForms
+from demflow.sweep.study.reservoir import MODEL_PARAMETERS
 from demflow.sweep.study.samples import SAMPLE
 from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
 from demflow.sweep.study.sections import Parameter, Section
@@ -39,7 +42,9 @@ def study_schema() -> Schema:
         "$schema": "https://json-schema.org/draft/2020-12/schema",
         "title": "demflow study",
         "type": "object",
-        "required": ["study", "scene", "observe"],
+        "required": ["study"],
+        # without a scene only reservoir models can be fitted
+        "anyOf": [{"required": ["scene", "observe"]}, {"required": ["data", "fit"]}],
         "additionalProperties": False,
         "properties": {
             "study": {
@@ -72,6 +77,12 @@ def study_schema() -> Schema:
                 "type": "object",
                 "description": "overrides that make the study small: path -> value",
             },
+            "data": {
+                "type": "object",
+                "description": "measured tests by name",
+                "additionalProperties": _schema(DATA),
+            },
+            "fit": _fit(),
         },
         # an axis may give what the scene leaves out
         "if": {"not": {"required": ["vary"]}},
@@ -178,10 +189,33 @@ def _schema(section: Section) -> Schema:
     return _forms(section)
 
 
+def _fit() -> Schema:
+    """The block `fit`: the keys of `FitBlock`, parameters by name, models by word."""
+    quantity = {"type": ["number", "string"]}
+    bounds = {"type": "array", "prefixItems": [quantity, quantity], "minItems": 2, "items": False}
+    word = {"enum": list(MODEL_PARAMETERS)}
+    words = {"anyOf": [word, {"type": "array", "minItems": 1, "items": word}]}
+    block = _schema(FIT)
+    block["properties"] |= {
+        "parameters": {
+            "type": "object",
+            "minProperties": 1,
+            "description": "[low, high] of what is fitted, or one value of what is known",
+            "additionalProperties": {"anyOf": [bounds, quantity]},
+        },
+        "model": words | {"description": "reservoir model; without one the scene is fitted"},
+        "models": words | {"description": "several, of which the data choose"},
+    }
+    block["required"].append("parameters")
+    return block
+
+
 def _forms(section: Section) -> Schema:
     """The schema of what can be written in several forms."""
     if isinstance(section, Times):
         return {"oneOf": [_schema(section.listed), _schema(section.spaced)]}
+    if isinstance(section, RateForms):
+        return {"anyOf": [_schema(section.word), _schema(section.pairs)]}
     if isinstance(section, ProbeForms):
         return {"oneOf": [_schema(section.point), _schema(section.line)]}
     if isinstance(section, InitialForms):
@@ -221,7 +255,7 @@ def _parameter(parameter: Parameter) -> Schema:
     bounds = {word: meta[key] for key, word in _BOUNDS.items() if meta.get(key) is not None}
     schema = _value(parameter.type, parameter.unit, bounds)
     default = parameter.declared.default
-    if isinstance(default, int | float | str):
+    if isinstance(default, int | float | str) and default == default:  # NaN: there is none
         schema["default"] = default
     return schema | {"description": _described(parameter)}
 

@@ -32,7 +32,7 @@ from demflow.sweep.study.yaml_source import MOST_TOLD, Node, Place, Problem, Sca
 # keys that stand beside `scene` in a study although a scene (or nothing else) holds them
 BESIDE_SCENE = (
     *("observe", "solver", "limits", "figures", "expect"),
-    *("vary", "sample", "where", "smoke"),
+    *("vary", "sample", "where", "smoke", "data", "fit"),
 )
 
 KEPT = "files"  # folder beside a kept study, with copies of what it names
