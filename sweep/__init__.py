@@ -1,7 +1,8 @@
 """The study layer: from a study in YAML to a labelled dataset.
 
 `run` runs a study, `open_results` and `open_case` open what it left, `write_case` writes a case
-for other programs, `load_study` reads and checks a study file. Heavy imports wait until they
+for other programs, `sensitivity` tells which sampled parameters decide a result, `load_study` reads
+and checks a study file. Heavy imports wait until they
 are needed.
 """
 
@@ -11,12 +12,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from demflow.sweep.analysis.sensitivity import sensitivity
     from demflow.sweep.dataset.case_file import write_case
     from demflow.sweep.dataset.open import open_case, open_results
     from demflow.sweep.engine import run
     from demflow.sweep.study.load import load_study
 
-__all__ = ["load_study", "open_case", "open_results", "run", "write_case"]
+__all__ = ["load_study", "open_case", "open_results", "run", "sensitivity", "write_case"]
 
 _HOMES = {
     "load_study": "demflow.sweep.study.load",
@@ -24,6 +26,7 @@ _HOMES = {
     "open_results": "demflow.sweep.dataset.open",
     "write_case": "demflow.sweep.dataset.case_file",
     "run": "demflow.sweep.engine",
+    "sensitivity": "demflow.sweep.analysis.sensitivity",
 }
 
 

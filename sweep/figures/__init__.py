@@ -27,6 +27,7 @@ from demflow.sweep.figures.failure import draw_failure
 from demflow.sweep.figures.horner import draw_horner
 from demflow.sweep.figures.maps import draw_maps
 from demflow.sweep.figures.permeability import draw_permeability
+from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
 from demflow.sweep.figures.strength import draw_strength
 from demflow.sweep.figures.style import house_style
@@ -116,6 +117,7 @@ def _draw(
         seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
         if "permeability" in dataset:
             drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
+        drawn.append(draw_sensitivity(dataset, folder / "sensitivity.png"))
         drawn.append(draw_strength(dataset, folder / "strength.png", seeds))
         drawn.append(draw_failure(dataset, maps_of, folder / "stress_strain.png", seeds))
     return [path for path in drawn if path is not None]

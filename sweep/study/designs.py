@@ -52,7 +52,7 @@ def design(method: str, dimensions: int, count: int, seed: int) -> np.ndarray:
         points = _latin_hypercube(dimensions, count, seed)
     elif method == "saltelli":
         pairs = _sobol(2 * dimensions, count, seed)
-        a, b = pairs[:, :dimensions], pairs[:, dimensions:]
+        a, b = pairs[:, 0::2], pairs[:, 1::2]
         mixed = np.repeat(a[:, None, :], dimensions, axis=1)
         every = np.arange(dimensions)
         mixed[:, every, every] = b
