@@ -17,7 +17,7 @@ from demflow.model.flow.linear.factor import analyse, factorise, solve
 from demflow.model.network.connectivity import reached
 from demflow.model.outcome import ModelError
 from demflow.model.products import FractureNetwork
-from demflow.model.region import Region, bounding_box, clip_segments, exit_point
+from demflow.model.region import Region, bounding_box, clip_segments, exit_point, named_sides
 from demflow.model.scene import Fracture, Line, lines_of
 from demflow.model.scene.topology import Topology, topology
 
@@ -104,7 +104,7 @@ def describe(
 
 def _others(joined: Array, region: Region, side: str) -> int:
     """How many other sides and wells a side of the scene is joined to."""
-    own = [k for k, name in enumerate(region.sides) if side in (name, "outer")]
+    own = named_sides(region, side)
     met = np.asarray(joined[own].any(axis=0))
     met[own] = False
     return int(np.count_nonzero(met))
@@ -279,7 +279,7 @@ def _alone(
     """
     number = np.full(len(region.sides) + wells, -1)
     for k, name in enumerate(sides):
-        number[: len(region.sides)][[name in (side, "outer") for side in region.sides]] = k
+        number[named_sides(region, name)] = k
     number[len(region.sides) :] = len(sides) + np.arange(wells)
     ports = len(sides) + wells
     node_port = np.full(len(graph.nodes.node_x), -1)

@@ -1,7 +1,8 @@
 """The region of rock that is modelled: its shape, its sides and what lies inside.
 
 Rectangles and circles are centred on the origin; a polygon stands where its
-vertices say. Lengths in metres, angles in radians, arrays of points as (n, 2).
+vertices say; a region with holes is one of them less others. Lengths in metres, angles in
+radians, arrays of points as (n, 2).
 """
 
 from __future__ import annotations
@@ -96,13 +97,81 @@ class Polygon:
         return abs(_signed_area(np.asarray(self.vertices)))
 
 
-Region = Rectangle | Circle | Polygon
+Shape = Rectangle | Circle | Polygon
 
+
+@dataclass(frozen=True, slots=True)
+class Hole:
+    """A hole in a region; all of its rim is one side."""
+
+    name: str  # of the side
+    at: tuple[float, float]  # m, where the origin of the shape lies
+    shape: Shape
+
+    @property
+    def rim(self) -> np.ndarray:
+        """Points along the rim that tell where it lies, (n, 2) m."""
+        if isinstance(self.shape, Circle):
+            turn = np.arange(_RIM_POINTS) * (2.0 * np.pi / _RIM_POINTS)
+            points = self.shape.radius * np.column_stack([np.cos(turn), np.sin(turn)])
+        else:
+            corners = np.asarray(self.shape.vertices, dtype=float)
+            part = (np.arange(_RIM_POINTS // 4) / (_RIM_POINTS // 4))[:, None, None]
+            points = (corners + part * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
+        return points + np.array(self.at)
+
+
+@dataclass(frozen=True, slots=True)
+class Pierced:
+    """A region with holes; its sides are those of the outer shape, then the holes'."""
+
+    outer: Shape
+    holes: tuple[Hole, ...]
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """Names of the sides."""
+        return (*self.outer.sides, *(hole.name for hole in self.holes))
+
+    @property
+    def area(self) -> float:
+        """Area in m²."""
+        return self.outer.area - sum(hole.shape.area for hole in self.holes)
+
+
+Region = Shape | Pierced
+
+_RIM_POINTS = 64  # of a circular hole at which its distance to other rims is looked at
 _LOT = 256  # boxes that are compared with others at once
+
+
+def outer_shape(region: Region) -> Shape:
+    """The region without its holes."""
+    return region.outer if isinstance(region, Pierced) else region
+
+
+def parts_of(region: Region) -> list[tuple[Shape, np.ndarray, list[int]]]:
+    """The outer shape and the holes: each with its place (2,) m and its sides by number."""
+    outer = outer_shape(region)
+    found = [(outer, np.zeros(2), list(range(len(outer.sides))))]
+    if isinstance(region, Pierced):
+        for number, hole in enumerate(region.holes, len(outer.sides)):
+            edges = 1 if isinstance(hole.shape, Circle) else len(hole.shape.vertices)
+            found.append((hole.shape, np.array(hole.at), [number] * edges))
+    return found
+
+
+def named_sides(region: Region, name: str) -> list[int]:
+    """Numbers of the sides that a name stands for: `outer` for all but the holes'."""
+    outer = outer_shape(region)
+    if name == "outer":
+        return list(range(len(outer.sides)))
+    return [region.sides.index(name)]
 
 
 def bounding_box(region: Region) -> tuple[float, float, float, float]:
     """Smallest upright box (xmin, xmax, ymin, ymax) around the region, m."""
+    region = outer_shape(region)
     if isinstance(region, Circle):
         return (-region.radius, region.radius, -region.radius, region.radius)
     corners = np.asarray(region.vertices)
@@ -113,6 +182,11 @@ def bounding_box(region: Region) -> tuple[float, float, float, float]:
 def contains(region: Region, points: np.ndarray) -> np.ndarray:
     """Which of the points (n, 2) lie inside the region, as a boolean array (n,)."""
     points = np.asarray(points, dtype=float).reshape(-1, 2)
+    if isinstance(region, Pierced):
+        inside = contains(region.outer, points)
+        for hole in region.holes:
+            inside &= ~contains(hole.shape, points - np.array(hole.at))
+        return inside
     if isinstance(region, Circle):
         return np.hypot(points[:, 0], points[:, 1]) < region.radius
     if isinstance(region, Rectangle):
@@ -143,6 +217,13 @@ def exit_point(
     """
     inside = np.asarray(inside, dtype=float).reshape(-1, 2)
     step = np.asarray(outside, dtype=float).reshape(-1, 2) - inside
+    if isinstance(region, Pierced):
+        fraction, side = exit_point(region.outer, inside, outside)
+        for number, hole in enumerate(region.holes, len(region.outer.sides)):
+            entry = _entry(hole.shape, inside - np.array(hole.at), step)
+            fraction = np.where(entry <= fraction, entry, fraction)
+            side = np.where(entry == fraction, number, side)
+        return fraction, side
     if isinstance(region, Circle):
         a = np.einsum("ij,ij->i", step, step)
         b = np.einsum("ij,ij->i", inside, step)
@@ -153,7 +234,31 @@ def exit_point(
             fraction = np.where(b > 0, -c / (b + root), (root - b) / a)
         return np.clip(np.nan_to_num(fraction, nan=1.0), 0.0, 1.0), np.zeros(len(step), dtype=int)
     corners = np.asarray(region.vertices, dtype=float)
-    sense = np.sign(_signed_area(corners))
+    fraction, side = _first_crossing(corners, np.sign(_signed_area(corners)), inside, step)
+    return np.clip(fraction, 0.0, 1.0), side
+
+
+def _entry(shape: Shape, start: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Part of segments that start outside a shape before they enter it, (n,), infinite if never."""
+    if not isinstance(shape, Circle):
+        corners = np.asarray(shape.vertices, dtype=float)
+        entry = _first_crossing(corners, -np.sign(_signed_area(corners)), start, step)[0]
+        return np.where(entry <= 1.0, entry, np.inf)
+    a = np.einsum("ij,ij->i", step, step)
+    b = np.einsum("ij,ij->i", start, step)
+    c = np.maximum(np.einsum("ij,ij->i", start, start) - shape.radius**2, 0.0)
+    within = b * b - a * c
+    meets = (b < 0.0) & (within > 0.0)
+    entry = np.full(len(step), np.inf)
+    # the nearer root, written without cancellation
+    np.divide(c, -b + np.sqrt(np.maximum(within, 0.0)), out=entry, where=meets)
+    return np.where(entry <= 1.0, entry, np.inf)
+
+
+def _first_crossing(
+    corners: np.ndarray, sense: float, inside: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fraction of each segment before it crosses an edge outwards, infinite if never; the edge."""
     fraction = np.full(len(step), np.inf)
     side = np.zeros(len(step), dtype=int)
     for k, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
@@ -165,12 +270,15 @@ def exit_point(
             along = ((inside + s[:, None] * step - start) @ edge) / (edge @ edge)
         hit = (approach > 0) & (s >= 0) & (along >= -1e-9) & (along <= 1 + 1e-9) & (s < fraction)
         fraction[hit], side[hit] = s[hit], k
-    return np.clip(fraction, 0.0, 1.0), side
+    return fraction, side
 
 
 def distance_to_rim(region: Region, points: np.ndarray) -> np.ndarray:
     """Distance of points (n, 2) to the nearest point of the rim, (n,) m."""
     points = np.asarray(points, dtype=float).reshape(-1, 2)
+    if isinstance(region, Pierced):
+        rims = [distance_to_rim(shape, points - at) for shape, at, _ in parts_of(region)]
+        return np.min(rims, axis=0)
     if isinstance(region, Circle):
         return np.abs(np.hypot(points[:, 0], points[:, 1]) - region.radius)
     corners = np.asarray(region.vertices, dtype=float)
@@ -218,6 +326,25 @@ def narrowest(region: Polygon) -> tuple[float, int, int]:
     return found
 
 
+def tightest(region: Pierced) -> tuple[float, str, str]:
+    """Least distance (m) between the rim of a hole and another, the hole, and whose rim that is.
+
+    Negative where they overlap; the other is `outer` where the hole is near the region's own rim.
+    """
+    found = (np.inf, "", "")
+    for number, hole in enumerate(region.holes):
+        rim = hole.rim
+        room = np.where(contains(region.outer, rim), 1.0, -1.0) * distance_to_rim(region.outer, rim)
+        found = min(found, (float(room.min()), hole.name, "outer"))
+        for other in region.holes[:number]:
+            for one, two in ((hole, other), (other, hole)):
+                points = one.rim - np.array(two.at)
+                apart = np.where(contains(two.shape, points), -1.0, 1.0)
+                room = apart * distance_to_rim(two.shape, points)
+                found = min(found, (float(room.min()), hole.name, other.name))
+    return found
+
+
 def sides_at(region: Region, points: np.ndarray) -> np.ndarray:
     """Sides of the region on which points (n, 2) of its rim lie, (n, 2) into `region.sides`.
 
@@ -226,6 +353,13 @@ def sides_at(region: Region, points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     found = np.full((len(points), 2), -1)
     if len(points) == 0:
+        return found
+    if isinstance(region, Pierced):
+        rims = [distance_to_rim(shape, points - at) for shape, at, _ in parts_of(region)]
+        nearest = np.argmin(rims, axis=0)
+        found = sides_at(region.outer, points)
+        found[nearest > 0, 0] = len(region.outer.sides) + nearest[nearest > 0] - 1
+        found[nearest > 0, 1] = -1
         return found
     if isinstance(region, Circle):
         found[:, 0] = 0
@@ -251,26 +385,12 @@ def clip_segment(
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     step = b - a
     cuts = [0.0, 1.0]
-    if isinstance(region, Circle):
-        qa, qb, qc = step @ step, a @ step, a @ a - region.radius**2
-        disc = qb * qb - qa * qc
-        if disc > 0 and qa > 0:
-            cuts += [(-qb - np.sqrt(disc)) / qa, (-qb + np.sqrt(disc)) / qa]
-    else:
-        corners = np.asarray(region.vertices)
-        for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-            edge = q - p
-            denominator = step[0] * edge[1] - step[1] * edge[0]
-            if denominator != 0.0:
-                offset = p - a
-                s = (offset[0] * edge[1] - offset[1] * edge[0]) / denominator
-                u = (offset[0] * step[1] - offset[1] * step[0]) / denominator
-                if -1e-12 <= u <= 1 + 1e-12:
-                    cuts.append(s)
+    for shape, at, _ in parts_of(region):
+        cuts += _cuts(shape, a - at, step)
     ends = np.unique(np.clip(cuts, 0.0, 1.0))
     middles = a + 0.5 * (ends[:-1] + ends[1:])[:, None] * step
     within = contains(region, middles)
-    if isinstance(region, Polygon):  # what lies on an edge is outside, whichever edge it is
+    if isinstance(region, Polygon | Pierced):  # what lies on an edge is outside, whichever it is
         xmin, xmax, ymin, ymax = bounding_box(region)
         within &= distance_to_rim(region, middles) > 1e-12 * max(xmax - xmin, ymax - ymin)
     kept: list[tuple[float, float]] = []
@@ -282,6 +402,28 @@ def clip_segment(
         else:
             kept.append((float(s0), float(s1)))
     return kept
+
+
+def _cuts(shape: Shape, a: np.ndarray, step: np.ndarray) -> list[float]:
+    """Fractions at which the line through a, along a step, crosses the rim of a shape."""
+    if isinstance(shape, Circle):
+        qa, qb, qc = step @ step, a @ step, a @ a - shape.radius**2
+        disc = qb * qb - qa * qc
+        if disc > 0 and qa > 0:
+            return [(-qb - np.sqrt(disc)) / qa, (-qb + np.sqrt(disc)) / qa]
+        return []
+    cuts = []
+    corners = np.asarray(shape.vertices)
+    for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        edge = q - p
+        denominator = step[0] * edge[1] - step[1] * edge[0]
+        if denominator != 0.0:
+            offset = p - a
+            s = (offset[0] * edge[1] - offset[1] * edge[0]) / denominator
+            u = (offset[0] * step[1] - offset[1] * step[0]) / denominator
+            if -1e-12 <= u <= 1 + 1e-12:
+                cuts.append(s)
+    return cuts
 
 
 def clip_segments(
@@ -297,8 +439,11 @@ def clip_segments(
     low, high = np.minimum(start, end), np.maximum(start, end)
     near = (low[:, 0] <= xmax) & (high[:, 0] >= xmin) & (low[:, 1] <= ymax) & (high[:, 1] >= ymin)
     whole = contains(region, start) & contains(region, end)
-    if isinstance(region, Polygon):
-        whole &= ~_meets_an_edge(np.asarray(region.vertices), start, end)
+    for shape, at, _ in parts_of(region):
+        if isinstance(shape, Polygon):
+            whole &= ~_meets_an_edge(np.asarray(shape.vertices), start - at, end - at)
+        elif shape is not outer_shape(region):  # a convex hole between two ends outside it
+            whole &= _entry(shape, start - at, end - start) > 1.0
     rest = np.flatnonzero(near & ~whole)
     parts = [(k, 0.0, 1.0) for k in np.flatnonzero(whole)]
     parts += [(k, s0, s1) for k in rest for s0, s1 in clip_segment(region, start[k], end[k])]

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -41,7 +41,7 @@ from demflow.model.products import (
     Walk,
 )
 from demflow.model.quantities import checked
-from demflow.model.scene import Bonds, Scene, flow_lines, joint_lines, refined_places
+from demflow.model.scene import Bonds, Ground, Scene, flow_lines, joint_lines, refined_places
 
 if TYPE_CHECKING:
     from demflow.model.flow.solvers.registry import flow
@@ -102,6 +102,9 @@ class Stage:
     held: Callable[[Scene], float] = _nothing
     # why what it returned stops early, "" where it does not; ModelError where it is no result
     check: Callable[[Any], str] | None = None
+    # what it reads besides of a scene that has it; where that is None nothing is passed, and
+    # nothing enters the identity
+    options: Mapping[str, Callable[[Scene], Any]] = field(default_factory=dict)
     observed: bool = False  # whether its product is what a study asks of a case
     sources: str = ""  # what tells its sources from others of the same version, where they differ
 
@@ -123,6 +126,8 @@ class Stage:
     def given(self, scene: Scene, leg: int = 0) -> dict[str, Any]:
         """The keyword arguments of its run for a scene, or of one of them by its number."""
         parts = {name: part(scene) for name, part in self.reads.items()}
+        options = {name: part(scene) for name, part in self.options.items()}
+        parts |= {name: value for name, value in options.items() if value is not None}
         return parts if self.legs is None else {**parts, "leg": self.legs(scene)[leg]}
 
 
@@ -167,12 +172,19 @@ def _cement(scene: Scene) -> Bonds | None:
     return scene.bonds.elastic(scene.grains.contact_stiffness)
 
 
+def _scaled_ground(scene: Scene) -> Ground | None:
+    """Weight and holes over k_n."""
+    if scene.ground is None or scene.grains.contact_stiffness is None:
+        return None
+    return scene.ground.over(scene.grains.contact_stiffness)
+
+
 def _always(_scene: Scene) -> bool:
     return True
 
 
 _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
-    "region": lambda s: s.region,
+    "region": lambda s: s.rock,
     "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
     "wells": lambda s: sites(s.wells),
     "sides": lambda s: tuple(name for name, _ in s.boundaries),
@@ -225,6 +237,7 @@ STAGES: tuple[Stage, ...] = (
             "friction": lambda s: s.grains.friction,
             "bonds": _cement,
         },
+        options={"ground": _scaled_ground},
         wanted=_superposes,
         product=UnitLoads,
     ),
@@ -243,6 +256,7 @@ STAGES: tuple[Stage, ...] = (
             "seed": lambda s: s.grains.seed,
             "stress": lambda s: s.stress,
         },
+        options={"ground": lambda s: s.ground},
         wanted=lambda s: s.stress is not None,
         product=StressState,
     ),
@@ -283,7 +297,7 @@ STAGES: tuple[Stage, ...] = (
         function="demflow.model.network.domains:network",
         version=2,
         parents=("pack",),
-        reads={"region": lambda s: s.region},
+        reads={"region": lambda s: s.rock},
         wanted=lambda s: s.porous,
         product=Network,
     ),
@@ -302,8 +316,8 @@ STAGES: tuple[Stage, ...] = (
         version=1,
         parents=("network",),
         reads={
-            "region": lambda s: s.region,
-            "lines": lambda s: flow_lines(s.fractures, s.region),
+            "region": lambda s: s.rock,
+            "lines": lambda s: flow_lines(s.fractures, s.rock),
         },
         wanted=lambda s: s.porous and any(f.acts_on_flow for f in s.fractures),
         product=Walk,
@@ -314,7 +328,7 @@ STAGES: tuple[Stage, ...] = (
         version=3,
         parents=("network", "walk", "stress", "calibrate"),
         reads={
-            "region": lambda s: s.region,
+            "region": lambda s: s.rock,
             "matrix": lambda s: s.matrix,
             "fractures": lambda s: s.fractures,
             "viscosity": _viscosity,
@@ -365,7 +379,7 @@ STAGES: tuple[Stage, ...] = (
         version=1,
         parents=(),
         reads={
-            "region": lambda s: s.region,
+            "region": lambda s: s.rock,
             "fractures": lambda s: s.fractures,
             "viscosity": _viscosity,
             "wells": lambda s: tuple(WellPlace(w.at, w.effective_radius) for w in s.wells),
@@ -383,7 +397,7 @@ STAGES: tuple[Stage, ...] = (
             *("measure", "flow", "reference", "fractures", "moduli"),
         ),
         reads={
-            "region": lambda s: s.region,
+            "region": lambda s: s.rock,
             "controls": controls_of,
             "wanted": lambda s: s.observe,
         },

@@ -104,7 +104,9 @@ def test_what_a_stage_reads_is_what_it_can_be_given(stage):
     parameters = inspect.signature(stage.run).parameters.values()
     keyword = {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
     positional = [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]
-    assert keyword == set(stage.reads)
+    needed = {p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is p.empty}
+    assert needed <= set(stage.reads)
+    assert set(stage.reads) | set(stage.options) <= keyword
     assert len(positional) == len(stage.parents)
     assert len(keyword) + len(positional) == len(parameters)
     assert stage.version >= 1

@@ -284,16 +284,19 @@ def pipe_gaps(network: Network, stress: StressState) -> np.ndarray:
     """Gap between the grains at each pipe, (p,) in m, negative where they overlap.
 
     Across a smooth joint it is the joint's own: grains that slide past each other along it
-    part without opening it.
+    part without opening it. Beside a grain that was taken away there is none.
     """
     a, b = network.pipe_grain_a, network.pipe_grain_b
     distance = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b])
+    taken = np.isnan(distance)
     contact = pipe_contacts(network, stress)
     opening = np.where(contact >= 0, stress.joint_gap[contact], np.nan)
     touching = (
         network.grain_radius[network.pipe_grain_a] + network.grain_radius[network.pipe_grain_b]
     )
-    return np.where(np.isnan(opening), distance - touching, opening)
+    gap = np.where(np.isnan(opening), distance - touching, opening)
+    gap[taken] = 0.0
+    return gap
 
 
 def _volumes(

@@ -20,7 +20,17 @@ from demflow.model.network.faces import (
 )
 from demflow.model.outcome import ModelError
 from demflow.model.products import Network, Packing
-from demflow.model.region import Circle, Polygon, Region, contains, exit_point, narrowest
+from demflow.model.region import (
+    Circle,
+    Pierced,
+    Polygon,
+    Region,
+    contains,
+    exit_point,
+    narrowest,
+    parts_of,
+    tightest,
+)
 
 # A domain keeps at least this part of the mean pore volume: overlapping grains can leave
 # none, and the explicit step shrinks with the smallest.
@@ -174,9 +184,9 @@ def _over_slots(
     left: np.ndarray,
     right: np.ndarray,
 ) -> Parted:
-    """The pipes that cross a slot or a re-entrant corner of the region."""
+    """The pipes that cross a slot, a re-entrant corner or the edge of a hole of the region."""
     both = np.flatnonzero(inside[left] & inside[right])
-    if not isinstance(region, Polygon):
+    if not isinstance(region, Polygon | Pierced):
         both = both[:0]
     start = np.column_stack([x[left[both]], y[left[both]]])
     end = np.column_stack([x[right[both]], y[right[both]]])
@@ -190,6 +200,9 @@ def _over_slots(
 
 def _check_width(region: Region, spacing: float) -> None:
     """Raise where a part of the region is narrower than two pores (of a spacing in m)."""
+    if isinstance(region, Pierced):
+        _check_holes(region, spacing)
+        region = region.outer
     if not isinstance(region, Polygon):
         return
     width, one, other = narrowest(region)
@@ -199,6 +212,19 @@ def _check_width(region: Region, spacing: float) -> None:
             f"the region is {width:.3g} m wide between {names[one]} and {names[other]}, less than "
             f"{NARROWEST:g} pores of {spacing:.3g} m; raise grains.count "
             f"{(NARROWEST * spacing / width) ** 2:.1f}-fold, or leave the narrow part out"
+        )
+
+
+def _check_holes(region: Pierced, spacing: float) -> None:
+    """Raise where a hole, or the rock beside it, is narrower than two pores."""
+    room, name, other = tightest(region)
+    narrow = [(float(np.sqrt(h.shape.area)), f"the hole {h.name} is") for h in region.holes]
+    narrow.append((room, f"the rock between {name} and {other} is"))
+    width, what = min(narrow)
+    if width < NARROWEST * spacing:
+        raise ModelError(
+            f"{what} {width:.3g} m wide, less than {NARROWEST:g} pores of {spacing:.3g} m; raise "
+            f"grains.count {(NARROWEST * spacing / width) ** 2:.1f}-fold, or refine grains there"
         )
 
 
@@ -301,11 +327,14 @@ def _cut_places(
     start = np.column_stack([x[inner], y[inner]])
     end = np.column_stack([x[outer], y[outer]])
     fraction, side = exit_point(region, start, end)
-    if isinstance(region, Circle):
-        r_in, r_out = np.hypot(*start.T), np.hypot(*end.T)
+    for shape, at, numbers in parts_of(region):
+        if not isinstance(shape, Circle):
+            continue
+        r_in, r_out = np.hypot(*(start - at).T), np.hypot(*(end - at).T)
         # a pore at the very centre has no logarithm; the straight fraction serves there
-        off_centre = r_in > 0.1 * region.radius
-        ratio = np.log(region.radius / r_in, where=off_centre, out=np.ones_like(r_in))
-        whole = np.log(r_out / r_in, where=off_centre, out=np.ones_like(r_in))
-        fraction = np.where(off_centre, ratio / whole, fraction)
+        off_centre = np.minimum(r_in, r_out) > 0.1 * shape.radius
+        ours = off_centre & (side == numbers[0])
+        ratio = np.log(shape.radius / r_in, where=ours, out=np.ones_like(r_in))
+        whole = np.log(r_out / r_in, where=ours, out=np.ones_like(r_in))
+        fraction = np.where(ours, ratio / whole, fraction)
     return side, np.clip(fraction, CUT_FLOOR, 1.0)

@@ -7,7 +7,7 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 """
 
 from demflow.model.parameters import SceneError
-from demflow.model.region import Circle, Polygon, Rectangle, Region
+from demflow.model.region import Circle, Hole, Pierced, Polygon, Rectangle, Region, Shape
 from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
 from demflow.model.scene.closure import BartonBandis, Closure
 from demflow.model.scene.distributions import (
@@ -36,6 +36,13 @@ from demflow.model.scene.fractures import (
     Trace,
     TraceMap,
 )
+from demflow.model.scene.ground import (
+    CircularHole,
+    Excavation,
+    Ground,
+    PolygonalHole,
+    RectangularHole,
+)
 from demflow.model.scene.lines import (
     FlowLine,
     JointLine,
@@ -57,8 +64,10 @@ __all__ = [
     "BiWing",
     "Bonds",
     "Circle",
+    "CircularHole",
     "Closure",
     "Contact",
+    "Excavation",
     "Exponential",
     "FailureTest",
     "FlowLine",
@@ -66,6 +75,8 @@ __all__ = [
     "Fracture",
     "FractureSet",
     "Grains",
+    "Ground",
+    "Hole",
     "InitialField",
     "Joint",
     "JointLine",
@@ -74,15 +85,19 @@ __all__ = [
     "LogNormal",
     "MapFile",
     "Matrix",
+    "Pierced",
     "Polygon",
+    "PolygonalHole",
     "PowerLaw",
     "Probe",
     "RandomSet",
     "Rectangle",
+    "RectangularHole",
     "Refinement",
     "Region",
     "Scene",
     "SceneError",
+    "Shape",
     "Solver",
     "Stress",
     "Trace",

@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Region
+from demflow.model.region import Pierced, Region, Shape
 from demflow.model.scene.flow import (
     Boundary,
     Fluid,
@@ -21,6 +21,7 @@ from demflow.model.scene.flow import (
     well_problems,
 )
 from demflow.model.scene.fractures import Fracture, fracture_problems, joint_problems
+from demflow.model.scene.ground import Excavation, Ground, ground_problems, holes_of
 from demflow.model.scene.rock import (
     Bonds,
     FailureTest,
@@ -71,13 +72,17 @@ class Scene:
     block that it judges, and takes the parts that it needs; those on what is observed stand here.
     """
 
-    region: Region
+    region: Shape
     grains: Grains
     observe: tuple[str, ...]
     matrix: Matrix | None = None
     fluid: Fluid | None = None
     bonds: Bonds | None = None
     stress: Stress | None = None
+    gravity: float | None = parameter(
+        "m/s2", default=None, above=0, help="acceleration by which grains weigh, towards −y"
+    )
+    excavate: tuple[Excavation, ...] = ()
     test: FailureTest | None = None
     fractures: tuple[Fracture, ...] = ()
     wells: tuple[Well, ...] = ()
@@ -94,14 +99,23 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        rock = self.rock
         problems = [
             *grain_problems(self.grains, self.region),
             *loading_problems(self.grains, self.bonds, self.stress, self.test),
+            *ground_problems(
+                self.excavate,
+                self.gravity,
+                rock,
+                density=self.grains.density,
+                stress=self.stress,
+                tested=self.test is not None,
+            ),
             *joint_problems(self.fractures, self.stress, self.test),
-            *well_problems(self.wells, self.region),
-            *fracture_problems(self.fractures, self.region),
-            *probe_problems(self.probes, self.region),
-            *boundary_problems(self.boundaries, self.region),
+            *well_problems(self.wells, rock),
+            *fracture_problems(self.fractures, rock),
+            *probe_problems(self.probes, rock),
+            *boundary_problems(self.boundaries, rock),
             *self._name_problems(),
             *self._observed_problems(),
             *self._part_problems(),
@@ -111,6 +125,20 @@ class Scene:
         ]
         if problems:
             raise SceneError(problems)
+
+    @property
+    def rock(self) -> Region:
+        """The region without what is excavated."""
+        return Pierced(self.region, holes_of(self.excavate)) if self.excavate else self.region
+
+    @property
+    def ground(self) -> Ground | None:
+        """Weight and holes; None where the scene has neither."""
+        if self.gravity is None and not self.excavate:
+            return None
+        weight = self.grains.density * (self.gravity or 0.0)
+        pressures = tuple(one.pressure for one in self.excavate)
+        return Ground(weight, holes_of(self.excavate), pressures)
 
     @property
     def method(self) -> str:

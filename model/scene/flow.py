@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Region, box_pairs, contains, distance_to_rim
+from demflow.model.region import Region, box_pairs, contains, distance_to_rim, outer_shape
 
 __all__ = [
     "LEAST_TOLERANCE",
@@ -259,8 +259,10 @@ def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Probl
             yield f"boundaries.{name}", f"the region has no such side, only {known}"
         if not math.isfinite(pressure):
             yield f"boundaries.{name}", "the pressure is not a finite number"
-    if len(boundaries) > 1 and any(name == "outer" for name, _ in boundaries):
-        yield "boundaries.outer", "outer names every side; name no other beside it"
+    outer = {name for name, _ in boundaries} & set(outer_shape(region).sides) - {"outer"}
+    if outer and any(name == "outer" for name, _ in boundaries):
+        what = f"outer names every side of the region; name {min(outer)} no more beside it"
+        yield "boundaries.outer", what
 
 
 def time_problems(times: tuple[float, ...]) -> Problems:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Region, clip_segments
+from demflow.model.region import Region, clip_segments, outer_shape
 from demflow.model.scene.closure import Closure
 from demflow.model.scene.distributions import Angle, Aperture, Length, LogNormal
 from demflow.model.scene.random_sets import Drawing, expected, segments, window_problems
@@ -370,6 +370,7 @@ def _placement_problems(fracture: Fracture, region: Region) -> Problems:
 
 def _drawing_problems(fracture: RandomSet, region: Region) -> Problems:
     """What is wrong with a random set in a region; it is drawn to see whether it has room."""
+    region = outer_shape(region)
     yield from window_problems(fracture.drawing, region)
     key = next(k for k in ("intensity", "density", "count") if getattr(fracture, k) is not None)
     if not (count := expected(fracture.drawing, region)) <= MOST_TRACES:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.region import Region, bounding_box, clip_segments, contains
+from demflow.model.region import Region, bounding_box, clip_segments, contains, outer_shape
 from demflow.model.scene.distributions import apertures
 from demflow.model.scene.flow import Well
 from demflow.model.scene.fractures import Fracture, FractureSet, Joint, RandomSet, TraceMap
@@ -190,7 +190,9 @@ def polylines(fracture: Fracture, region: Region) -> Polylines:
     """The polylines of a fracture, before clipping, and the aperture of each.
 
     An aperture that goes with the length of a trace goes with all of it, also what lies outside.
+    Holes cut what is drawn, and change nothing of it.
     """
+    region = outer_shape(region)
     if isinstance(fracture, TraceMap):
         points, first = fracture.laid.vertices, fracture.laid.first
     elif isinstance(fracture, FractureSet | RandomSet):

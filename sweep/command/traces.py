@@ -23,9 +23,9 @@ def told_traces(study: Study) -> list[str]:
 
 
 def _told(fracture: TraceMap | RandomSet, scene: Scene) -> str:
-    lines = lines_of((fracture,), scene.region)
+    lines = lines_of((fracture,), scene.rock)
     length = np.bincount([line.trace for line in lines], [line.length for line in lines])
-    length, area = length[length > 0.0], scene.region.area
+    length, area = length[length > 0.0], scene.rock.area
     pore = pore_spacing(scene.grains, area)
     parts = [
         f"{len(length)} traces in the region",

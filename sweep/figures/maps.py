@@ -15,7 +15,7 @@ from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as PolygonPatch
 from matplotlib.patheffects import withStroke
 
-from demflow.model.region import Circle, bounding_box, contains
+from demflow.model.region import Circle, bounding_box, contains, parts_of
 from demflow.model.scene import Fracture, Scene, lines_of
 from demflow.sweep.analysis.cases import display, with_unit
 from demflow.sweep.figures.style import BLACK, SEQUENTIAL, VERMILION, label, new_figure, save
@@ -132,7 +132,7 @@ def draw_maps(
             edgecolors="face",
             linewidths=0.3,
         )
-        outline = panel.add_patch(_outline(scene))
+        outline, *_ = [panel.add_patch(rim) for rim in _rims(scene)]
         panel.add_collection(patches)
         _grains(panel, maps, scene)
         _fractures(panel, maps)
@@ -168,18 +168,24 @@ def draw_maps(
     return save(figure, path, caption)
 
 
-def _outline(scene: Scene) -> Patch:
-    look = {"facecolor": "none", "edgecolor": BLACK, "linewidth": 0.8, "zorder": 4}
-    if isinstance(scene.region, Circle):
-        return CirclePatch((0.0, 0.0), scene.region.radius, **look)
-    return PolygonPatch(np.asarray(scene.region.vertices), closed=True, **look)
+def _rims(scene: Scene) -> list[Patch]:
+    """The rim of the region, and those of its holes, which are white."""
+    rims: list[Patch] = []
+    for shape, at, _ in parts_of(scene.rock):
+        fill = "white" if rims else "none"
+        look = {"facecolor": fill, "edgecolor": BLACK, "linewidth": 0.8, "zorder": 4}
+        if isinstance(shape, Circle):
+            rims.append(CirclePatch(tuple(at), shape.radius, **look))
+        else:
+            rims.append(PolygonPatch(np.asarray(shape.vertices) + at, closed=True, **look))
+    return rims
 
 
 def _grains(panel: Axes, maps: xr.Dataset, scene: Scene) -> None:
     if "radius" not in maps:
         return
     centres = np.stack([maps["grain_x"].values, maps["grain_y"].values], axis=1)
-    inside = contains(scene.region, centres)
+    inside = contains(scene.rock, centres)
     if np.count_nonzero(inside) > MOST_GRAINS:
         return
     centres, size = centres[inside], 2.0 * maps["radius"].values[inside]
@@ -228,7 +234,7 @@ def _is_barrier(fracture: Fracture) -> bool:
 
 def _barriers(panel: Axes, scene: Scene) -> None:
     barriers = tuple(fracture for fracture in scene.fractures if _is_barrier(fracture))
-    segments = [(line.start, line.end) for line in lines_of(barriers, scene.region)]
+    segments = [(line.start, line.end) for line in lines_of(barriers, scene.rock)]
     panel.add_collection(
         LineCollection(
             segments,

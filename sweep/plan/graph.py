@@ -185,7 +185,7 @@ def make_plan(scenes: Iterable[Scene | SceneError | None], stages: tuple[Stage, 
     """
     row = {stage.name: k for k, stage in enumerate(stages)}
     parent_rows = [[row[name] for name in stage.parents] for stage in stages]
-    readers = [_Reader(stage.reads) for stage in stages]
+    readers = [_Reader(stage.reads, stage.options) for stage in stages]
     runs: list[StageRun] = []
     index: dict[str, int] = {}
     kinds: dict[CostClass, CostClass] = {}  # one object each
@@ -232,14 +232,17 @@ def origin(stage: Stage) -> int | tuple[int, str]:
 class _Reader:
     """Canonical bytes of what a stage reads; a value met again is not encoded again."""
 
-    def __init__(self, reads: Any):
-        self.reads: dict[str, Callable[[Any], Any]] = dict(reads)
+    def __init__(self, reads: Any, options: Any):
+        self.reads: dict[str, Callable[[Any], Any]] = {**reads, **options}
+        self.options = frozenset(options)
         self.last: dict[str, tuple[Any, bytes]] = {}
 
     def __call__(self, scene: Any) -> dict[str, bytes]:
         encoded = {}
         for name, read in self.reads.items():
             value = read(scene)
+            if value is None and name in self.options:
+                continue
             previous = self.last.get(name)
             # by identity, not by equality: 1 == 1.0 == True
             if previous is None or previous[0] is not value:

@@ -350,7 +350,7 @@ class Named(Section):
 class Listed(Section):
     """A list of blocks of one sort."""
 
-    inner: Block
+    inner: Block | OneOf
 
     def read(self, node: Node, path: str, reading: Reading) -> dict[str, Any]:
         """Values by number; one block alone is a list of one."""
@@ -359,15 +359,15 @@ class Listed(Section):
         for number, item in enumerate(items):
             inner = join(path, str(number))
             reading.places[inner] = item.place
-            found[str(number)] = self.inner.read(item, inner, reading)
+            read = self.inner.read(item, inner, reading)
+            if read is not None:
+                found[str(number)] = read
         return found
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
         """A tuple of them."""
-        return tuple(
-            self.inner.build(value, join(path, number), problems)
-            for number, value in values.items()
-        )
+        made = (self.inner.build(value, join(path, n), problems) for n, value in values.items())
+        return tuple(one for one in made if one is not None)
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
         """The parameter of one of them, by its number from 0."""
@@ -460,7 +460,7 @@ def _section(
     optional = type(None) in kinds
     kinds = tuple(kind for kind in kinds if kind is not type(None))
     if all(dataclasses.is_dataclass(kind) for kind in kinds):
-        return _blocks(kinds, words, within)
+        return blocks_of(kinds, words, within)
     laws = [block_of(typing.cast(type, kind)) for kind in kinds if dataclasses.is_dataclass(kind)]
     if laws:
         number = next(kind for kind in kinds if not dataclasses.is_dataclass(kind))
@@ -470,7 +470,7 @@ def _section(
     if len(arguments) == 2 and arguments[1] is Ellipsis:
         inner = _alternatives(arguments[0])
         if all(dataclasses.is_dataclass(kind) for kind in inner):
-            return Named(_blocks(inner, words, within))
+            return Named(blocks_of(inner, words, within))
     return Parameter(declared, kinds[0], optional)
 
 
@@ -481,7 +481,11 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
     return (hint,)
 
 
-def _blocks(kinds: tuple[Any, ...], words: KindWords, within: Specials) -> Block | OneOf:
+def blocks_of(
+    kinds: tuple[Any, ...], words: KindWords, within: Specials | None = None
+) -> Block | OneOf:
+    """The grammar of a dataclass, or of a block that is one of several, by its tag."""
+    within = within or {}
     blocks = [block_of(kind, within.get(kind), words, within) for kind in kinds]
     if len(kinds) == 1:
         return blocks[0]

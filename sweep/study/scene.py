@@ -23,20 +23,32 @@ from demflow.model.scene import (
     OBSERVABLES,
     BiWing,
     Circle,
+    CircularHole,
+    Excavation,
     FractureSet,
     Grains,
     InitialField,
     MapFile,
     Polygon,
+    PolygonalHole,
     Probe,
     RandomSet,
     Rectangle,
+    RectangularHole,
     Refinement,
     Scene,
     Trace,
     TraceMap,
 )
-from demflow.sweep.study.blocks import Block, Listed, Named, Specials, Words, block_of
+from demflow.sweep.study.blocks import (
+    Block,
+    Listed,
+    Named,
+    Specials,
+    Words,
+    block_of,
+    blocks_of,
+)
 from demflow.sweep.study.map_files import LARGEST_FILE, MapError, read_map
 from demflow.sweep.study.sections import (
     KEPT,
@@ -58,6 +70,9 @@ WORDS: dict[type, tuple[str, str]] = {
     Rectangle: ("shape", "rectangle"),
     Circle: ("shape", "circle"),
     Polygon: ("shape", "polygon"),
+    CircularHole: ("shape", "circle"),
+    RectangularHole: ("shape", "rectangle"),
+    PolygonalHole: ("shape", "polygon"),
     BiWing: ("kind", "bi-wing"),
     FractureSet: ("kind", "set"),
     RandomSet: ("kind", "set"),
@@ -335,6 +350,7 @@ def _scene() -> Block:
         ),
         "boundaries": Named(Parameter(pressure, float, optional=False)),
         "probes": Named(ProbeForms(block_of(Probe), block_of(ProbeLine))),
+        "excavate": Listed(blocks_of(typing.get_args(Excavation), WORDS)),
         "times": Times(Parameter(time, tuple[float, ...], optional=False), block_of(LogTimes)),
         "observe": Words(tuple(OBSERVABLES)),
     }

@@ -1,4 +1,4 @@
-"""Parts of a loaded specimen: balanced cuts, boreholes, pressure on a rim, gravity."""
+"""Parts of a loaded specimen: balanced cuts, boreholes, pressure on a rim."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,10 @@ from demflow.model.mechanics.contact.neighbours import JOINED
 from demflow.model.mechanics.loading.stress import straight_path
 from demflow.model.mechanics.motion.equilibrium import AT_REST, Specimen, Stop
 from demflow.model.mechanics.motion.servo import STANDING
-from demflow.model.mechanics.specimen.cut import cut, excavate, gravity, press_on
+from demflow.model.mechanics.specimen.cut import cut, excavate, press_on
 from demflow.model.mechanics.specimen.measures import listed, overlaps
 from demflow.model.mechanics.specimen.rock import build_specimen
-from demflow.model.region import Circle, Polygon
+from demflow.model.region import Circle, Polygon, Rectangle, contains
 from demflow.model.scene import Bonds, Joint, JointLine
 from tests.mechanics.rocks import packed
 
@@ -120,29 +120,38 @@ def test_an_excavation_leaves_the_joints_outside_it(joint) -> None:
 def test_a_borehole_is_found_anew_in_equilibrium_and_can_be_held_open() -> None:
     whole = pressed(BONDS)
     hole = Circle(4.0)
+    gone = contains(hole, np.column_stack([whole.grains.x, whole.grains.y]))
+    rim = press_on(whole, gone, 3e-4)[~gone]
     opened = excavate(whole, hole)
-    assert len(opened.grains.x) < len(whole.grains.x)
+    assert len(opened.grains.x) == len(rim) < len(whole.grains.x)
     held = straight_path(2e-4, 3.5e-4, 2.5e-4)._replace(start_xx=3.5e-4, start_yy=2.5e-4)
     stop = Stop(ratio=1e-3, stress=5e-3)
     assert opened.relax(held, stop, damping=0.5, steps=60_000) == AT_REST
     ring = np.hypot(opened.grains.x, opened.grains.y)
     near = ring < 8.0
     closed = ring[near].mean()
-    assert press_on(opened, Circle(5.0), 3e-4) >= 6
-    assert abs(opened.grains.load_x.sum()) < 1e-12  # a closed rim
+    opened.grains.load_x[:], opened.grains.load_y[:] = rim.T
     assert opened.relax(held, stop, damping=0.5, steps=60_000) == AT_REST
     assert np.hypot(opened.grains.x, opened.grains.y)[near].mean() > closed
     with pytest.raises(ValueError, match="no grain"):
         excavate(whole, Circle(0.01))
 
 
-def test_weight_rests_on_the_floor() -> None:
-    whole = pressed(BONDS)
-    weight = 1e-6 * whole.grains.radius**2
-    bottom, top = whole.sums.bottom, whole.sums.top
-    gravity(whole, weight)
-    # a grain's weight is but 2e-3 of the mean contact force: rest must be far below that
-    stop = Stop(ratio=1e-5, stress=np.inf)
-    assert whole.relax(STANDING, stop, damping=0.5, steps=20_000) == AT_REST
-    added = (whole.sums.bottom - bottom) - (whole.sums.top - top)
-    assert added == pytest.approx(weight.sum(), rel=0.02)
+HORSESHOE = Polygon(((-4.0, -4.0), (4.0, -4.0), (4.0, 1.0), (0.0, 5.0), (-1.0, 0.0), (-4.0, 1.0)))
+
+
+@pytest.mark.parametrize("hole", [Circle(4.0), Rectangle(9.0, 5.0), HORSESHOE])
+def test_a_pressure_in_a_hole_moves_and_turns_nothing_as_a_whole(hole) -> None:
+    specimen = build_specimen(packed(), KN, 2.5, 0.5, BONDS)
+    grains = specimen.grains
+    gone = contains(hole, np.column_stack([grains.x, grains.y]))
+    loads = press_on(specimen, gone, 2.0)
+    x, y = loads.T
+    assert not loads[gone].any()
+    most = np.abs(loads).max()
+    assert abs(x.sum()) < 1e-12 * most
+    assert abs(y.sum()) < 1e-12 * most
+    assert abs((grains.x * y - grains.y * x).sum()) < 1e-11 * most
+    # the moment of a pressure on a closed rim is twice the area within, for each unit of it
+    within = 0.5 * (grains.x * x + grains.y * y).sum() / 2.0
+    assert hole.area < within < hole.area * (1.0 + 1.2 / np.sqrt(hole.area / np.pi)) ** 2

@@ -26,7 +26,7 @@ from demflow.model.network.connectivity import reached
 from demflow.model.network.fractures.subdivide import Cuts, cuts_of, subdivide
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network
-from demflow.model.region import Region
+from demflow.model.region import Region, named_sides
 
 TINY = float(np.finfo(float).tiny)
 
@@ -387,10 +387,7 @@ def sources_of_sides(region: Region, sides: tuple[str, ...]) -> np.ndarray:
     """The source that fixes each side of the region, −1 where it is sealed."""
     source = np.full(len(region.sides), -1)
     for order, name in enumerate(sides):
-        if name == "outer":
-            source[:] = order
-        else:
-            source[region.sides.index(name)] = order
+        source[named_sides(region, name)] = order
     return source
 
 

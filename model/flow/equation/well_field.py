@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.region import Circle, Region
+from demflow.model.region import Circle, Region, parts_of
 
 # Two sides that meet at a right angle, within this cosine, have an image of their images.
 UPRIGHT = 0.05
@@ -90,13 +90,29 @@ def _images(
     at: np.ndarray, scale: np.ndarray, region: Region, fixed: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places (i, 2) and signs (i,) of the images, in the coordinates of `scale` from the well."""
-    if isinstance(region, Circle):
-        distance = float(np.linalg.norm(at))
-        if region.radius - distance > reach or distance == 0.0:
-            return np.empty((0, 2)), np.empty(0)
-        place = scale @ (at * ((region.radius / distance) ** 2 - 1.0))
-        return place[None, :], np.where(fixed[:1], -1.0, 1.0)
-    corners = np.asarray(region.vertices, dtype=float)
+    images: list[tuple[np.ndarray, float]] = []
+    for shape, place, sides in parts_of(region):
+        here = at - place
+        if isinstance(shape, Circle):
+            distance = float(np.linalg.norm(here))
+            if abs(shape.radius - distance) > reach or distance == 0.0:
+                continue
+            away = scale @ (here * ((shape.radius / distance) ** 2 - 1.0))
+            images.append((away, -1.0 if fixed[sides[0]] else 1.0))
+            if sides[0] > 0 and not fixed[sides[0]]:  # nothing flows into a sealed hole
+                images.append((scale @ -here, -1.0))
+        else:
+            corners = np.asarray(shape.vertices, dtype=float)
+            images += _in_edges(here, scale, corners, fixed[sides], reach)
+    if not images:
+        return np.empty((0, 2)), np.empty(0)
+    return np.array([place for place, _ in images]), np.array([sign for _, sign in images])
+
+
+def _in_edges(
+    at: np.ndarray, scale: np.ndarray, corners: np.ndarray, fixed: np.ndarray, reach: float
+) -> list[tuple[np.ndarray, float]]:
+    """Places and signs of the images in the edges of a polygon, and in its right angles."""
     near: list[tuple[np.ndarray, np.ndarray, float]] = []  # foot, normal, sign
     for k, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
         part = np.clip((at - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
@@ -113,6 +129,4 @@ def _images(
     for (foot, normal, sign), (other, other_normal, other_sign) in combinations(near, 2):
         if abs(normal @ other_normal) < UPRIGHT:
             images.append((2.0 * (foot + other), sign * other_sign))
-    if not images:
-        return np.empty((0, 2)), np.empty(0)
-    return np.array([place for place, _ in images]), np.array([sign for _, sign in images])
+    return images

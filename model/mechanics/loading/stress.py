@@ -23,11 +23,14 @@ Units inside are the mean radius, k_n and the mass of a grain; stresses are σ /
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from demflow.model.mechanics.contact.bonds import INTACT, NO_BONDS
-from demflow.model.mechanics.contact.grains import at_rest
+from demflow.model.mechanics.contact.grains import Array, at_rest
 from demflow.model.mechanics.contact.law import Linear
+from demflow.model.mechanics.loading.ground import dig, least_pressure, weigh, with_holes
 from demflow.model.mechanics.loading.state import held_state, state_of
 from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
@@ -50,7 +53,7 @@ from demflow.model.mechanics.static import static
 from demflow.model.mechanics.static.sticking import StickingTrial
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StressState, UnitLoads
-from demflow.model.scene import Bonds, Contact, JointLine, Stress
+from demflow.model.scene import Bonds, Contact, Ground, JointLine, Stress
 
 INERTIAL_NUMBER = 5e-5
 CALM = 1.0  # unbalance, over what a run allows at its end, at which its path goes half as fast
@@ -60,18 +63,27 @@ MODULUS = 0.5  # stress per strain that the pace assumes, over k_n
 DAMPING = 0.5  # local
 MOST_STEPS = 200_000
 REST_STEPS = 100_000  # besides those of the path: grains without friction took up to 40,000
+LEAST_RATIO = 1e-6  # mean unbalanced over mean contact force that explicit runs reach well
 PLASTIC_STRAIN = 0.01  # beyond twice the elastic one, at which a specimen counts as flowing
 
 
 def unit_loads(
-    packing: Packing, *, stiffness_ratio: float, friction: float, bonds: Bonds
+    packing: Packing,
+    *,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds,
+    ground: Ground | None = None,
 ) -> UnitLoads:
     """Linear response of the packed, bonded grains: what all their stress states share.
 
-    Parameters as for `load`; strengths and stiffness do not matter, k_n is the unit.
+    Parameters as for `load`; strengths and stiffness do not matter, k_n is the unit, also of
+    `ground`.
     """
     specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
-    pressure = float(packing.packing_pressure)
+    if ground is not None:
+        specimen, _ = dig(specimen, packing, ground)
+    pressure = max(float(packing.packing_pressure), least_pressure(specimen))
     return static.response(specimen, np.array([pressure, pressure, 0.0]))
 
 
@@ -87,8 +99,12 @@ def load(
     joints: tuple[JointLine, ...] = (),
     seed: int = 0,
     stress: Stress,
+    ground: Ground | None = None,
 ) -> StressState:
     """Grains in equilibrium under the walls' stresses, along the path stated above.
+
+    Where there is a `ground`, the weight of the grains acts along the path, holes are dug at its
+    end, and the grains come to rest anew under the same stresses.
 
     Parameters
     ----------
@@ -104,7 +120,8 @@ def load(
         `normal_stiffness` is the grains' Young's modulus.
     joints : smooth joints along straight traces; their contacts have no other cement.
     seed : of the bonds' strengths.
-    stress : target stresses, Pa, compression positive.
+    stress : target stresses, Pa, compression positive; with a weight those at mid-height.
+    ground : weight of the grains and holes between them, in SI; `units` are then theirs.
 
     Raises
     ------
@@ -114,23 +131,19 @@ def load(
     elastic = elasticity(
         contact, normal_stiffness, stiffness_ratio, friction, max(stress.xx, stress.yy)
     )
-    normal_stiffness = elastic.normal_stiffness
-    wanted = np.array(stress.components) / normal_stiffness
-    rock = (packing, normal_stiffness, stiffness_ratio, friction, bonds, joints, seed, elastic)
+    rock = _Rock(
+        packing, elastic, stiffness_ratio, friction, bonds, joints, seed,
+        None if ground is None else ground.over(elastic.normal_stiffness),
+    )  # fmt: skip
+    wanted = np.array(stress.components) / elastic.normal_stiffness
     why = "there are no bonds" if bonds is None else "there are joints"
     if contact is not None:
         why = "contacts are not linear, or resist rolling"
     if units is not None and bonds is not None and contact is None and stress.method != "explicit":
-        trial = _held(packing, units, elastic, stiffness_ratio, bonds, seed)
-        found = static.superpose(trial, units, wanted, stress.tolerance)
-        if found.reached:
-            return held_state(trial, found, packing, normal_stiffness)
-        if not found.breaks:
-            specimen = build_specimen(*rock)
-            found = static.equilibrium(specimen, units, wanted, stress.tolerance)
-            if found.reached:
-                return state_of(specimen, packing, normal_stiffness, found)
-        why = found.why
+        found = _by_unit_loads(rock, bonds, units, wanted, stress.tolerance)
+        if not isinstance(found, str):
+            return found
+        why = found
     if stress.method == "static":
         raise ModelError(
             f"the static solver does not reach these stresses: {why}; try stress.method auto, "
@@ -142,22 +155,104 @@ def load(
             f"finds it), but {why}; leave stress.angle out and turn fractures, wells and probes by "
             "minus the angle instead, or try stronger bonds or smaller stresses"
         )
-    specimen = build_specimen(*rock)
-    pressure = packed_pressure(packing, elastic.law)
+    return _along_a_path(rock, wanted, stress.tolerance)
+
+
+class _Rock(NamedTuple):
+    """What is loaded; parameters as for `load`."""
+
+    packing: Packing
+    elastic: Elasticity
+    stiffness_ratio: float
+    friction: float
+    bonds: Bonds | None
+    joints: tuple[JointLine, ...]
+    seed: int
+    ground: Ground | None  # over k_n
+
+    def built(self) -> Specimen:
+        """The packed grains, with cement and joints."""
+        kn = self.elastic.normal_stiffness
+        return build_specimen(self.packing, kn, *self[2:7], self.elastic)
+
+    def dug(self, specimen: Specimen) -> tuple[Specimen, Array]:
+        """The specimen without what the holes take, and which of the grains are kept."""
+        if self.ground is None:
+            return specimen, np.ones(len(self.packing.x), bool)
+        return dig(specimen, self.packing, self.ground)
+
+    def state(self, specimen: Specimen, kept: Array, found: static.Found | None) -> StressState:
+        """The product, of a state that the static solver `found` or the explicit one."""
+        state = state_of(specimen, self.packing, self.elastic.normal_stiffness, found)
+        return with_holes(state, kept)
+
+
+def _by_unit_loads(
+    rock: _Rock, bonds: Bonds, units: UnitLoads, wanted: Array, tolerance: float
+) -> StressState | str:
+    """The state by the static solver, or why it finds none."""
+    if rock.ground is None:
+        trial = _held(rock.packing, units, rock.elastic, rock.stiffness_ratio, bonds, rock.seed)
+        found = static.superpose(trial, units, wanted, tolerance)
+        if found.reached:
+            return held_state(trial, found, rock.packing, rock.elastic.normal_stiffness)
+        if found.breaks:
+            return found.why
+    specimen, kept = rock.dug(rock.built())
+    found = static.equilibrium(specimen, units, wanted, tolerance)
+    return rock.state(specimen, kept, found) if found.reached else found.why
+
+
+def _along_a_path(rock: _Rock, wanted: Array, tolerance: float) -> StressState:
+    """The state by the explicit solver; holes are dug at the end of the path."""
+    specimen, kn = rock.built(), rock.elastic.normal_stiffness
+    pressure = packed_pressure(rock.packing, rock.elastic.law)
     path = straight_path(pressure, float(wanted[0]), float(wanted[1]))
+    ratio = tolerance
+    if rock.ground is not None:
+        weigh(specimen, rock.ground.unit_weight * float(rock.packing.radius.mean()))
+        path = _carrying_weight(path, specimen)
+        ratio = _fine_enough(ratio, specimen, wanted)
     ends = (path.start_xx, path.start_yy), (path.target_xx, path.target_yy)
     slowest = min(advanced(path, *end, ratio=0.0) for end in ends)
     steps = int(min(MOST_STEPS, REST_STEPS + 2.0 / slowest))
     way = max(abs(path.target_xx - path.start_xx), abs(path.target_yy - path.start_yy))
     stop = Stop(
-        ratio=stress.tolerance,
-        stress=stress.tolerance,
+        ratio=ratio,
+        stress=tolerance,
         strain=PLASTIC_STRAIN + 2.0 * way / MODULUS,
     )
     reason = specimen.relax(path, stop, damping=DAMPING, steps=steps)
     if reason != AT_REST:
-        raise ModelError(_why(specimen, path, reason, normal_stiffness, friction, steps))
-    return state_of(specimen, packing, normal_stiffness)
+        raise ModelError(_why(specimen, path, reason, kn, rock.friction, steps))
+    specimen, kept = rock.dug(specimen)
+    if not kept.all():
+        end = path.target_xx, path.target_yy
+        held = _carrying_weight(path_between(end, end), specimen)
+        reason = specimen.relax(held, stop, damping=DAMPING, steps=REST_STEPS)
+        if reason != AT_REST:
+            why = _why(specimen, held, reason, kn, rock.friction, REST_STEPS)
+            raise ModelError(f"around the holes: {why}")
+    return rock.state(specimen, kept, None)
+
+
+def _carrying_weight(path: Servo, specimen: Specimen) -> Servo:
+    """A path on which the bottom wall bears the grains' weight, and the top wall stays pressed."""
+    least = least_pressure(specimen)
+    start_xx = max(path.start_xx, min(least, path.target_xx))
+    start_yy = max(path.start_yy, min(least, path.target_yy))
+    lift = -0.5 * float(specimen.grains.load_y.sum())
+    way = path_between((start_xx, start_yy), (path.target_xx, path.target_yy))
+    return way._replace(lift=lift)
+
+
+def _fine_enough(tolerance: float, specimen: Specimen, wanted: Array) -> float:
+    """Unbalance, over the contact force, that is small beside the weight of a grain too."""
+    weights = -specimen.grains.load_y
+    if not weights.any():
+        return tolerance
+    force = 2.0 * float(wanted[:2].mean())  # of a contact, in mean radii
+    return min(tolerance, max(LEAST_RATIO, 0.1 * float(weights.mean()) / force))
 
 
 def _held(

@@ -32,6 +32,7 @@ class Servo(NamedTuple):
     limit: float = 5e-5  # largest strain in one step
     drive_x: float = np.nan  # strain of each step in x, extension positive, in place of a stress
     drive_y: float = np.nan
+    lift: float = 0.0  # half of the grains' weight: what the bottom wall bears more, the top less
 
 
 SWINGS = 100  # of the mean stress about its target, without decay, at which a servo oscillates
@@ -136,10 +137,10 @@ def move_walls(
         gain * (sums.right - push_x) / max(sums.right_contacts, 1), far_x
     )
     box[2] += stretch_y * box[2] - correct_y * clip(
-        gain * (sums.bottom - push_y) / max(sums.bottom_contacts, 1), far_y
+        gain * (sums.bottom - (push_y + servo.lift)) / max(sums.bottom_contacts, 1), far_y
     )
     box[3] += stretch_y * box[3] + correct_y * clip(
-        gain * (sums.top - push_y) / max(sums.top_contacts, 1), far_y
+        gain * (sums.top - (push_y - servo.lift)) / max(sums.top_contacts, 1), far_y
     )
 
 
@@ -154,8 +155,8 @@ def stress_error(servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_
         abs(mean_xx - wanted_xx),
     )
     worst_y = max(
-        abs(sums.bottom / width - wanted_yy),
-        abs(sums.top / width - wanted_yy),
+        abs((sums.bottom - servo.lift) / width - wanted_yy),
+        abs((sums.top + servo.lift) / width - wanted_yy),
         abs(mean_yy - wanted_yy),
     )
     error_x = worst_x / wanted_xx if np.isnan(servo.drive_x) else 0.0

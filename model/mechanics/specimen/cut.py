@@ -11,13 +11,14 @@ from __future__ import annotations
 import copy
 
 import numpy as np
+from scipy.spatial import Delaunay
 
 from demflow.model.mechanics.contact.contacts import contact_forces
 from demflow.model.mechanics.contact.grains import Array, at_rest
 from demflow.model.mechanics.contact.neighbours import Pairs
 from demflow.model.mechanics.motion.equilibrium import Specimen
-from demflow.model.mechanics.specimen.measures import listed
-from demflow.model.region import Region, bounding_box, contains
+from demflow.model.mechanics.specimen.measures import listed, overlaps
+from demflow.model.region import Region, contains
 
 FAR = 1e3  # widths of the specimen at which a cut has its walls: none
 
@@ -43,54 +44,44 @@ def cut(specimen: Specimen, region: Region) -> Specimen:
 
 def excavate(specimen: Specimen, region: Region) -> Specimen:
     """The specimen without the grains whose centres lie in the region; see `cut`."""
-    inside = _inside(specimen, region)
-    if inside.all():
+    return without(specimen, _inside(specimen, region))
+
+
+def without(specimen: Specimen, gone: Array) -> Specimen:
+    """The specimen without some of its grains (n,) bool, and without the forces on them."""
+    if gone.all():
         raise ValueError("the excavation leaves no grain")
-    part = _part(specimen, ~inside, specimen.box.copy())
+    part = _part(specimen, ~gone, specimen.box.copy())
     part.first_box = specimen.first_box.copy()  # from which strains of cracks are counted
+    part.steps = specimen.steps
     return part
 
 
-def press_on(specimen: Specimen, region: Region, pressure: float) -> int:
-    """Load the grains at the rim of a hole by a pressure in it, in the way of a membrane.
+def press_on(specimen: Specimen, gone: Array, pressure: float) -> Array:
+    """Loads (n, 2) of a pressure in a hole on the grains around it, in the way of a membrane.
 
-    A grain belongs to the rim if its disc reaches into the region, a circle or polygon around
-    the hole; each carries the pressure over the arc or the part of the perimeter that falls to
-    it, half of the way to its neighbours along the rim. Pressures are over k_n.
-
-    Returns the number of grains on the rim.
+    The rim is the outline of all triangles, of Delaunay's between the centres of grains that
+    touch others, that have a corner among the grains to be taken, `gone` (n,) bool. Each of its
+    edges shares the force of the pressure on it between its two ends, so that loads on a closed
+    rim, whatever its shape, add up to neither a force nor a moment. Pressures are over k_n.
     """
     grains = specimen.grains
-    centre = np.array(_middle(region))
-    away = np.column_stack([grains.x, grains.y]) - centre
-    distance = np.hypot(*away.T)
-    unit = away / np.maximum(distance, 1e-300)[:, None]
-    nearest = np.column_stack([grains.x, grains.y]) - grains.radius[:, None] * unit
-    rim = np.flatnonzero(contains(region, nearest))
-    if len(rim) < 3:
-        raise ValueError("fewer than three grains stand around the hole")
-    angle = np.arctan2(away[rim, 1], away[rim, 0])
-    order = rim[np.argsort(angle)]
-    # the polygon through the rim's grains: its edges share their pressure between their ends
-    x, y = grains.x[order], grains.y[order]
-    dx, dy = np.roll(x, -1) - x, np.roll(y, -1) - y
-    outward_x, outward_y = 0.5 * pressure * dy, -0.5 * pressure * dx
-    np.add.at(grains.load_x, order, outward_x)
-    np.add.at(grains.load_y, order, outward_y)
-    np.add.at(grains.load_x, np.roll(order, -1), outward_x)
-    np.add.at(grains.load_y, np.roll(order, -1), outward_y)
-    return len(rim)
-
-
-def gravity(specimen: Specimen, weight: Array, angle: float = -0.5 * np.pi) -> None:
-    """Load every grain by its weight (n,) over k_n and mean radius, in a direction (radians)."""
-    specimen.grains.load_x[:] += weight * np.cos(angle)
-    specimen.grains.load_y[:] += weight * np.sin(angle)
-
-
-def _middle(region: Region) -> tuple[float, float]:
-    box = bounding_box(region)
-    return 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
+    a, b = listed(specimen.pairs)
+    touch = (overlaps(grains.x, grains.y, grains.radius, a, b) > 0.0) | (specimen.pairs.bond >= 0)
+    held = np.flatnonzero(gone | (np.bincount(np.r_[a[touch], b[touch]], minlength=len(gone)) > 1))
+    loads = np.zeros((len(gone), 2))
+    if pressure == 0.0:
+        return loads
+    corner = held[Delaunay(np.column_stack([grains.x[held], grains.y[held]])).simplices]
+    for k in range(3):  # corners run counter-clockwise
+        one, other, taken = corner[:, k], corner[:, (k + 1) % 3], corner[:, (k + 2) % 3]
+        rim = gone[taken] & ~gone[one] & ~gone[other]
+        one, other = one[rim], other[rim]
+        dx, dy = grains.x[other] - grains.x[one], grains.y[other] - grains.y[one]
+        outwards = 0.5 * pressure * np.column_stack([dy, -dx])
+        np.add.at(loads, one, outwards)
+        np.add.at(loads, other, outwards)
+    return loads
 
 
 def _inside(specimen: Specimen, region: Region) -> Array:

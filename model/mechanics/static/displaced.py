@@ -57,15 +57,18 @@ class Trial(ABC):
         on_grains[:, 0], on_grains[:, 1], on_grains[:, 2] = grains.fx, grains.fy, grains.torque
         width, height = box[1] - box[0], box[3] - box[2]
         residual[-2] = loads[1] - wanted[0] * height
-        residual[-1] = loads[3] - wanted[1] * width
+        lift = -0.5 * float(grains.load_y.sum())  # of the weight on the bottom wall, see `Servo`
+        residual[-1] = loads[3] - (wanted[1] * width - lift)
         mean = self.sums.force / max(self.sums.contacts, 1)
         unbalanced = np.sqrt(grains.fx**2 + grains.fy**2 + (grains.torque / grains.radius) ** 2)
         held = unbalanced > 0.0
         ratio = unbalanced[held].mean() / mean if held.any() else 0.0
         # the walls that stand are held to it as well: what all grains lack adds up on them
-        sides = (wanted[0] * height, wanted[0] * height, wanted[1] * width, wanted[1] * width)
+        across, along = wanted[0] * height, wanted[1] * width
+        sides = ((across, across), (across, across), (along + lift, along), (along - lift, along))
         wall = max(
-            abs(load - side) / max(side, 1e-300) for load, side in zip(loads, sides, strict=True)
+            abs(load - side) / max(scale, 1e-300)
+            for load, (side, scale) in zip(loads, sides, strict=True)
         )
         return residual, float(max(ratio, wall))
 

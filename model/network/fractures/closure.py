@@ -72,7 +72,7 @@ def normal_stress(state: StressState, walked: Walk) -> np.ndarray:
 
     σ is the mean of the `AROUND` grains nearest to its middle, Σ f ⊗ l over half of each contact's
     branch vector l, over the area that as many grains have in the specimen; their mean over its
-    inside is brought to the stress of the specimen.
+    inside, where holes bear nothing, is brought to the stress of the specimen.
     """
     a, b = state.contact_a, state.contact_b
     between = np.column_stack([state.x[b] - state.x[a], state.y[b] - state.y[a]])
@@ -86,8 +86,10 @@ def normal_stress(state: StressState, walked: Walk) -> np.ndarray:
     np.add.at(grains, b, moment)
     ends = np.column_stack([walked.branch_a, walked.branch_b])
     middle = np.column_stack([walked.node_x[ends].mean(axis=1), walked.node_y[ends].mean(axis=1)])
-    many = min(AROUND, count)
-    _, near = cKDTree(np.column_stack([state.x, state.y])).query(middle, np.arange(1, many + 1))
+    there = np.flatnonzero(np.isfinite(state.x))
+    many = min(AROUND, len(there))
+    places = np.column_stack([state.x[there], state.y[there]])
+    near = there[cKDTree(places).query(middle, np.arange(1, many + 1))[1]]
     west, east, south, north = state.box
     area = (east - west) * (north - south) * many / count
     along = (walked.line_end - walked.line_start)[walked.branch_line]
@@ -97,7 +99,8 @@ def normal_stress(state: StressState, walked: Walk) -> np.ndarray:
     inner = (np.abs(state.x - 0.5 * (west + east)) < (0.5 - LAYER) * (east - west)) & (
         np.abs(state.y - 0.5 * (south + north)) < (0.5 - LAYER) * (north - south)
     )
-    whole = grains[inner].mean(axis=0) * many / area
+    among = np.count_nonzero(inner) + count - len(there)
+    whole = grains[inner].sum(axis=0) / among * many / area
     xx, yy, xy = state.stress
     offset = np.array([[xx, xy], [xy, yy]]) - 0.5 * (whole + whole.T)
     found = np.empty(len(middle))
