@@ -201,7 +201,7 @@ Each key is an axis, a dimension of the dataset; axes multiply.
 |---|---|
 | listed values | `parameter`, `values` |
 | a range | `parameter`, `from`, `to`, `count`, `spacing: linear` or `log` |
-| several together | `parameters`, `values`: a list for each parameter, or one of lists |
+| several together | `parameters`, `values`: for each point a list, one value for each parameter |
 | other scenes | `variants`: name → overrides of the scene; `values`: those to take, in order |
 """
 

@@ -2,14 +2,24 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
 from collections.abc import Sequence
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from string import Template
+from typing import Any
 
+import jinja2
 import xarray as xr
+from markupsafe import Markup
 
-from demflow.sweep.report.html import escape
+from demflow.sweep.analysis.cases import Index
+from demflow.sweep.dataset.open import open_case
+from demflow.sweep.figures import representative_cases
+from demflow.sweep.report.carried import carried, cases_with_maps
+from demflow.sweep.report.html import visible
 from demflow.sweep.report.promises import promises
 from demflow.sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
 from demflow.sweep.report.size_effect import size_section
@@ -18,38 +28,91 @@ from demflow.sweep.study.load import Study
 
 __all__ = ["write_report"]
 
+# uPlot formats numbers in the browser's language when it is loaded, and a browser that runs in the
+# C locale names one that no browser knows
+_LANGUAGE = """\
+try { new Intl.NumberFormat(navigator.language); }
+catch { Object.defineProperty(navigator, "language", { value: "en" }); }
+"""
+
 
 def write_report(
     dataset: xr.Dataset, results_dir: Path, study: Study, figure_paths: Sequence[Path]
 ) -> Path:
-    """Write `results_dir/report.html`, which needs no other file and no network.
+    """Write `results_dir/report.html`, which needs no network, and no file but its pictures.
 
     Parameters
     ----------
     dataset : the study's dataset.
     results_dir : the study's folder.
     study : the study, for its title, axes and text.
-    figure_paths : PNG files from `sweep.figures.write_figures`, in the order of the page;
-        the CSV files beside them (`NAME_*.csv`) become tables.
+    figure_paths : PNG files from `sweep.figures.write_figures`, in the order of the page, which
+        shows them from where they lie; the CSV files beside them (`NAME_*.csv`) become tables.
 
     Returns
     -------
     Path of the page.
     """
-    package = files("demflow.sweep.report")
-    page = Template((package / "page.html").read_text(encoding="utf-8")).substitute(
-        style=(package / "page.css").read_text(encoding="utf-8"),
-        title=escape(study.title),
-        name=escape(study.name),
-        outcome=outcome(dataset),
-        promises=promises(dataset, study),
-        size=size_section(dataset, study),
-        axes=axes_table(dataset, study),
-        numbers=key_numbers(dataset),
-        figures=figures(figure_paths),
-        provenance=provenance(dataset),
-        study_text=escape(study.text),
+    folder = Path(results_dir)
+    path = folder / "report.html"
+    data = _data(dataset, folder, study)
+    script = _LANGUAGE + _text("vendor/uPlot.iife.min.js") + "\n" + _text("page.js")
+    page = _template().render(
+        policy=_policy(script),
+        style=Markup(_text("vendor/uPlot.min.css") + _text("page.css")),
+        title=visible(study.title),
+        name=visible(study.name),
+        outcome=Markup(outcome(dataset)),
+        promises=Markup(promises(dataset, study)),
+        size=Markup(size_section(dataset, study)),
+        axes=Markup(axes_table(dataset, study)),
+        numbers=Markup(key_numbers(dataset)),
+        figures=Markup(figures(figure_paths, folder)),
+        provenance=Markup(provenance(dataset)),
+        study_text=visible(study.text),
+        data=Markup(_json(data)) if data else "",
+        left_out=data["left_out"] if data else [],
+        script=Markup(script),
     )
-    path = Path(results_dir) / "report.html"
     write_durably(path, page.encode())
     return path
+
+
+def _data(dataset: xr.Dataset, folder: Path, study: Study) -> Any:
+    """What the page carries to answer questions."""
+
+    def maps_of(index: Index) -> xr.Dataset:
+        values = {axis: dataset[axis].values[at].item() for axis, at in index.items()}
+        return open_case(folder, **values)
+
+    if not (dataset["status"].values == 0).any():
+        return None
+    return carried(dataset, study, cases_with_maps(dataset, representative_cases(dataset)), maps_of)
+
+
+def _json(data: Any) -> str:
+    """JSON inside a page: no text of it can end the element that it stands in."""
+    text = json.dumps(data, allow_nan=False, ensure_ascii=True, separators=(",", ":"))
+    return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _policy(script: str) -> str:
+    """What the page may do: run its own script, by its hash, and show pictures beside it."""
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    return (
+        f"default-src 'none'; script-src 'sha256-{digest}'; style-src 'unsafe-inline'; "
+        "img-src 'self' file: data: blob:; base-uri 'none'; form-action 'none'"
+    )
+
+
+@cache
+def _text(name: str) -> str:
+    return files("demflow.sweep.report").joinpath(name).read_text(encoding="utf-8")
+
+
+@cache
+def _template() -> jinja2.Template:
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.from_string(_text("page.html"))

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterable, Sequence
 from html import escape as _escape
-from pathlib import Path
 
 from demflow.sweep.analysis.cases import plain_number
 from demflow.sweep.printable import printable_lines
 
-__all__ = ["data_uri", "escape", "grid"]
+__all__ = ["escape", "grid", "visible"]
+
+
+def visible(text: object) -> str:
+    """Text of which nothing goes unseen: what has no shape is shown as its code."""
+    return printable_lines(str(text).expandtabs())
 
 
 def escape(text: object) -> str:
     """Text that a browser shows as it is, in an element or an attribute; nothing of it unseen."""
-    return _escape(printable_lines(str(text).expandtabs()), quote=True)
+    return _escape(visible(text), quote=True)
 
 
 def grid(
@@ -26,7 +29,8 @@ def grid(
     body = "".join(f"<tr>{''.join(_cell(value, digits) for value in row)}</tr>\n" for row in rows)
     title = f"<caption>{escape(caption)}</caption>" if caption else ""
     return (
-        f"<div class='wide'><table>{title}<thead><tr>{head}</tr></thead>\n"
+        f"<div class='wide' tabindex='0' role='group' aria-label='{escape(caption or 'table')}'>"
+        f"<table>{title}<thead><tr>{head}</tr></thead>\n"
         f"<tbody>{body}</tbody></table></div>"
     )
 
@@ -36,8 +40,3 @@ def _cell(value: object, digits: int) -> str:
         return f"<td>{escape(value)}</td>"
     text = "–" if value != value else plain_number(float(value), digits)
     return f"<td class='number'>{escape(text)}</td>"
-
-
-def data_uri(path: Path) -> str:
-    """A PNG file as an address that holds the whole of it."""
-    return "data:image/png;base64," + base64.b64encode(path.read_bytes()).decode("ascii")

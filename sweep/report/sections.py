@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from urllib.parse import quote
 
 import numpy as np
 import xarray as xr
@@ -23,7 +24,7 @@ from demflow.sweep.analysis.cases import (
     plain_number,
 )
 from demflow.sweep.analysis.permeability import principal_permeability
-from demflow.sweep.report.html import data_uri, escape, grid
+from demflow.sweep.report.html import escape, grid
 from demflow.sweep.store.written import ours
 from demflow.sweep.study.load import Study
 
@@ -181,21 +182,23 @@ def _range(name: str, values: xr.DataArray, unit: str) -> list[tuple[object, ...
     return [(name, shown, least, median, greatest)]
 
 
-def figures(paths: Sequence[Path]) -> str:
-    """Every figure with its caption, and the tables that lie beside it."""
+def figures(paths: Sequence[Path], folder: Path) -> str:
+    """Every figure with its caption, from where it lies, and the tables that lie beside it."""
     if not paths:
         return "<p>There is nothing to draw.</p>"
-    return "\n".join(_figure(path) for path in paths)
+    return "\n".join(_figure(path, folder) for path in paths)
 
 
-def _figure(path: Path) -> str:
+def _figure(path: Path, folder: Path) -> str:
     with Image.open(path) as image:
+        width, height = image.size
         caption = str(image.info.get("Description", path.stem.replace("_", " ")))
     own = re.compile(rf"{re.escape(path.stem)}_\w+\.csv")
     beside = sorted(table for table in ours(path.parent) if own.fullmatch(table.name))
     tables = "".join(map(_csv_table, beside))
     return (
-        f"<figure><img src='{data_uri(path)}' alt='{escape(caption)}'>"
+        f"<figure><img src='{quote(path.relative_to(folder).as_posix())}' width='{width}' "
+        f"height='{height}' alt='{escape(caption)}'>"
         f"<figcaption>{escape(caption)}</figcaption></figure>{tables}"
     )
 

@@ -48,6 +48,7 @@ class Member(NamedTuple):
     name: str  # of the dataclass field
     section: Section
     required: bool
+    unwritten: bool = False  # a block that is there, by its defaults, where nothing is written
 
 
 @dataclass(frozen=True)
@@ -121,7 +122,9 @@ class Block(Section):
             raise NoParameter
         inner = values.get(parts[0])
         if inner is None and isinstance(member.section, Block | OneOf):
-            raise NoParameter(f"the scene has no {parts[0]}")
+            if not member.unwritten:
+                raise NoParameter(f"the scene has no {parts[0]}")
+            inner = {}
         return member.section.find(inner, parts[1:])
 
     def paths(self, values: Any, path: str) -> Iterator[str]:
@@ -449,7 +452,8 @@ def block_of(
             declared.default is dataclasses.MISSING
             and declared.default_factory is dataclasses.MISSING
         )
-        members[key] = Member(key, declared.name, section, required)
+        unwritten = dataclasses.is_dataclass(declared.default)
+        members[key] = Member(key, declared.name, section, required, unwritten)
     return Block(cls, members)
 
 

@@ -66,6 +66,16 @@ def test_a_variant_sets_what_the_study_leaves_to_its_defaults(tmp_path):
     assert tolerances == [Solver().tolerance, 1e-7, Solver().tolerance]
 
 
+def test_an_axis_moves_what_the_study_leaves_to_its_defaults(tmp_path):
+    text = STUDY.replace("solver: {method: krylov}\n", "")
+    text = text.replace(
+        "parameter: wells.w.rate, values: [1e-7 m3/s, 2e-7 m3/s]",
+        "parameter: solver.tolerance, values: [1e-3, 1e-5]",
+    )
+    study = load(tmp_path, text)
+    assert [case_at(study, (k, 0)).scene.solver.tolerance for k in range(2)] == [1e-3, 1e-5]
+
+
 def test_other_axes_move_numbers_in_every_variant_wherever_they_stand(tmp_path):
     study = load(tmp_path, STUDY)
     assert [axis.name for axis in study.axes] == ["rate", "case"]
