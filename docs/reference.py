@@ -28,7 +28,7 @@ from demflow.sweep.study.load import load_study
 from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
 from demflow.sweep.study.schema import study_schema
 from demflow.sweep.study.sections import Parameter, Section
-from demflow.sweep.study.units import example
+from demflow.sweep.study.units import QUANTITY_PATTERN, example
 
 FOLDER = Path(__file__).parent / "reference"
 STUDIES = (*Path(__file__).parents[1].glob("studies/*.yaml"), *Path(__file__).parent.glob("*.yaml"))
@@ -136,8 +136,9 @@ class StudyPage:
             "number. *Read by* names the stages that run anew where the value changes; a value "
             "without one changes what is made of their results. What a key may hold can be varied: "
             "its path below `scene` is the `parameter` of an axis.\n\n"
-            "| key | meaning |\n|---|---|\n" + "".join(rows) + _VARY
+            "| key | meaning |\n|---|---|\n" + "".join(rows)
         )
+        self.parts += _beside_scene(schema)
 
     def _observe(self) -> None:
         rows = []
@@ -192,18 +193,62 @@ class StudyPage:
         return f"| `{key}` | {_value(member.section)} | {default} | {told} | {read} |\n"
 
 
-_VARY = """
-## vary
+# what the grammar of scenes documents itself
+_OF_SCENES = ("scene", "observe", "solver", "limits", "figures", "expect")
 
-Each key is an axis, a dimension of the dataset; axes multiply.
 
-| form | keys |
-|---|---|
-| listed values | `parameter`, `values` |
-| a range | `parameter`, `from`, `to`, `count`, `spacing: linear` or `log` |
-| several together | `parameters`, `values`: for each point a list, one value for each parameter |
-| other scenes | `variants`: name → overrides of the scene; `values`: those to take, in order |
-"""
+def _beside_scene(schema: Any) -> Iterator[str]:
+    """A section for each key beside `scene` that is a block, from the schema for editors."""
+    for key, one in schema["properties"].items():
+        if key in _OF_SCENES:
+            continue
+        inner = one.get("additionalProperties")
+        named = f"{key}.NAME" if isinstance(inner, dict) else key
+        forms = _alternatives(inner if isinstance(inner, dict) else one)
+        blocks = [form for form in forms if "properties" in form]
+        if not blocks:
+            continue
+        yield f"## {key}\n\n{_described(one)}\n"
+        for form in blocks:
+            required = ", ".join(f"`{word}`" for word in form.get("required", ()))
+            told = f"`{named}` with {required}:\n\n" if required else ""
+            rows = "".join(_schema_rows("", form))
+            yield f"{told}| key | value | meaning |\n|---|---|---|\n{rows}"
+
+
+def _schema_rows(path: str, block: Any) -> Iterator[str]:
+    """The keys of a block and of the blocks inside it, by their paths."""
+    for key, one in block["properties"].items():
+        forms = _alternatives(one)
+        value = " or ".join(dict.fromkeys(filter(None, map(_schema_value, forms))))
+        told = next((form["description"] for form in (one, *forms) if "description" in form), "")
+        yield f"| `{path}{key}` | {value} | {_prose(told)} |\n"
+        for form in forms:
+            if "properties" in form:
+                yield from _schema_rows(f"{path}{key}.", form)
+
+
+def _alternatives(schema: Any) -> list[Any]:
+    """The forms that a schema allows, without that which is empty."""
+    for word in ("oneOf", "anyOf"):
+        if word in schema:
+            forms = [form for one in schema[word] for form in _alternatives(one)]
+            return [form for form in forms if form.get("type") != "null"]
+    return [schema]
+
+
+def _schema_value(schema: Any) -> str:
+    """What may be written for one form of a schema."""
+    if "enum" in schema:
+        return " or ".join(f"`{word}`" for word in schema["enum"])
+    kind = schema.get("type")
+    if kind == "array" and isinstance(schema.get("items"), dict):
+        forms = map(_schema_value, _alternatives(schema["items"]))
+        return f"list of {' or '.join(dict.fromkeys(filter(None, forms)))}".removesuffix(" of ")
+    if kind == "string":
+        return "quantity" if schema.get("pattern") == QUANTITY_PATTERN else "text"
+    words = {"integer": "whole number", "number": "number", "object": "block", "boolean": "`true`"}
+    return words.get(kind, "") if isinstance(kind, str) else ""
 
 
 def _parameter(section: Section) -> Parameter | None:
