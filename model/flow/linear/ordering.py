@@ -5,6 +5,37 @@ Anal. Appl. 17, 886–905). Eliminating a node makes its neighbours a clique; th
 as one list of its members, an *element*, so that the graph never grows. Nodes with the same
 neighbours are eliminated together. The node with the least bound on its degree goes next.
 
+The symbols of the paper, and what they are here:
+
+    variable i, supervariable **i**
+        a node i that is not eliminated yet, alone or with those merged into it
+    pivot p, element e
+        node k that is eliminated; from then on its list is that of an element
+    A_i
+        the list of i behind its elements: neighbours by edges that no element covers
+    E_i
+        the first ELEMENTS entries of the list of i: the elements that it belongs to
+    L_e
+        the list of element e, LENGTH entries from PLACE on: the variables of the clique
+    L_p = (A_p ∪ ⋃ L_e over e in E_p) ∖ p
+        `_gather`
+    |**i**|
+        SIZE: nodes that i stands for; negative while i lies in the element being made
+    |L_e|, and d̄_i, a bound on the external degree
+        DEGREE, of an element and of a variable
+    w(e) = |L_e ∖ L_p|
+        MARK less the stamp, by `_measure_elements` (algorithm 2)
+    d̄_i = min(n − k, d̄_i before + |L_p ∖ **i**|, |A_i ∖ **i**| + |L_p ∖ **i**| + Σ |L_e ∖ L_p|)
+        the second and third less |L_p ∖ **i**| by `_bound_degrees`; that and the first by `_close`
+    aggressive absorption
+        an element with w(e) = 0 goes into p, in `_bound_degrees`
+    mass elimination
+        a variable with nothing beyond L_p goes with p, in `_bound_degrees`
+    indistinguishable variables, hash(i)
+        `_merge_alike`, among those of one `bucket`
+    parent in the assembly tree
+        `host`
+
 Nodes are numbered breadth first before: neighbours then lie near each other in memory, which
 on networks of a million pores saves more time than the numbering takes.
 """

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,52 +36,43 @@ from demflow.model.flow.solvers.subspace import MOST_VECTORS, Basis, Subspace
 from demflow.model.network.connectivity import reached
 from demflow.model.outcome import ModelError
 
-# The reduction of the error is not even; the estimate is taken this much larger.
-CAUTION = 2.5
 
-# Vectors over which changes are taken: the estimate is the worst of them.
-WIDTHS = (1, 2, 3, 5)
+class Tuning(NamedTuple):
+    """What a space is grown by; no result depends on it but within its error."""
 
-POLES = 2  # used in turn; what one of them adds says nothing of the other
+    # poles
+    poles: int = 2  # used in turn; what one of them adds says nothing of the other
+    ladder: float = 2.0  # poles are powers of this, that sources may share their factors
+    above: float = 2.0  # the fast pole lies above the fast end of the window by this times …
+    slope: float = 0.25  # … the window's width to this power: lower the wider the window is
 
-SHORTEST = 3  # vectors before the first estimate
+    # estimate of the error
+    shortest: int = 3  # vectors before the first estimate
+    widths: tuple[int, ...] = (1, 2, 3, 5)  # vectors over which changes are taken; the worst counts
+    late: int = 8  # sizes over which the slowest reduction counts: errors fall by stairs at times
+    caution: float = 2.5  # reductions are not even; the estimate is taken this much larger
+    fall: float = 0.1  # an estimate is at least this part of the one before: stairs again
+    map_checks: int = 8  # lags at which maps are compared; their error changes slowly in time
 
-# Sizes over which the slowest reduction counts: the error falls by stairs at times.
-LATE = 8
+    # when to estimate
+    stride: float = 0.3  # part of the way to the tolerance, at the rate seen, between estimates …
+    most_wait: int = 4  # … that cost as much as several vectors, and the most vectors between them
+    few_pores: int = 2000  # up to which an estimate costs little more than a vector
 
-# The fast pole lies above the fast end of the window, lower the wider the window is.
-ABOVE, SLOPE = 2.0, 0.25
+    # round-off
+    noise_share: float = 0.5  # that the projection may have, of the tolerance; what is found is a
+    # tenth of it
+    last_noise: float = 1e-3  # the same for the answer, which keeps volume and is differentiated
+    load_noise: float = 1e-2  # that the load of a slow mode may have, of the tolerance: beyond, the
+    # space of a fixed pressure starts from the steady state, …
+    least_load_noise: float = 1e-8  # … and beyond this: a window that is short beside the slow
+    # modes is better served by the source
+    idle: int = 12  # vectors without any gain after which what is left is round-off, …
+    round_off: float = 10.0  # … how much larger than the projection's own it may look, …
+    most_round_off: float = 1e-7  # … and the most of it that an answer may have
 
-# Poles are powers of this, that sources may share their factors.
-LADDER = 2.0
 
-# An estimate is at least this part of the one before: on a stair little changes.
-FALL = 0.1
-
-# Round-off that the projection may have, of the tolerance; what is found is a tenth of it.
-NOISE_SHARE = 0.5
-
-# The same for the answer itself, which keeps volume and is differentiated.
-LAST_NOISE = 1e-3
-
-# Round-off that the load of a slow mode may have, of the tolerance; beyond, the space of a fixed
-# pressure starts from the steady state.
-# A window that is short beside the slow modes is better served by the source.
-LOAD_NOISE, LEAST_LOAD_NOISE = 1e-2, 1e-8
-
-# Part of the way to the tolerance, at the rate seen, that the space grows between two checks
-# that cost as much as several vectors.
-STRIDE = 0.3
-MOST_WAIT = 4
-FEW_PORES = 2000  # up to which a check costs little more than a vector
-
-# Vectors without any gain after which what is left is round-off, how much larger than the
-# projection's own it may look, and the most of it that an answer may have.
-IDLE = 12
-ROUND_OFF, MOST_ROUND_OFF = 10.0, 1e-7
-
-# Lags at which maps are compared; the error of a map changes slowly in time.
-MAP_CHECKS = 8
+TUNED = Tuning()
 
 
 def krylov(problem: Problem) -> Answer:
@@ -118,7 +110,7 @@ def responses(problem: Problem) -> Answer:
         growth = Growth(problem, k, space, direct, own)
         if space.size:
             error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag, fast)))
-        basis = space.close(LAST_NOISE * problem.tolerance)
+        basis = space.close(TUNED.last_noise * problem.tolerance)
         last, repaired = _record(problem, k, basis, direct, own, answer)
         if own is None:
             error = max(error, flow_noise(problem, k, answer.output[k]))
@@ -133,7 +125,7 @@ def responses(problem: Problem) -> Answer:
 def _drowned(problem: Problem, fast: float) -> bool:
     """Whether round-off of what a source's own pores exchange hides what is slow."""
     share = np.finfo(float).eps * fast * float(problem.lag[-1])
-    return bool(share > max(LOAD_NOISE * problem.tolerance, LEAST_LOAD_NOISE))
+    return bool(share > max(TUNED.load_noise * problem.tolerance, TUNED.least_load_noise))
 
 
 class Factors:
@@ -163,8 +155,8 @@ class Factors:
 
     def near(self, shift: float) -> tuple[float, Factor]:
         """The shift of the ladder nearest to `shift` > 0, and its factor."""
-        rung = round(math.log(shift) / math.log(LADDER))
-        shift = LADDER**rung
+        rung = round(math.log(shift) / math.log(TUNED.ladder))
+        shift = TUNED.ladder**rung
         if rung not in self._made:
             excess = self.system.excess + shift * self.system.storage
             self._made[rung] = factorise(self.symbolic, self.system.edge_g, excess)
@@ -189,7 +181,7 @@ class Poles:
             self._add(1.0 / self.last)
         elif len(self) == 1:
             slow, fast = self._window()
-            self._add(ABOVE * fast * (slow / fast) ** SLOPE)
+            self._add(TUNED.above * fast * (slow / fast) ** TUNED.slope)
         return self._known[self.space.solves % len(self)]
 
     def _window(self) -> tuple[float, float]:
@@ -218,7 +210,7 @@ class Growth:
         self.own_flow = own_flow
         self.direct = problem.records.rows @ direct + problem.records.direct[source]
         self.lag = problem.lag[problem.lag > 0]
-        some = np.unique(np.linspace(0, len(self.lag) - 1, MAP_CHECKS).astype(int))
+        some = np.unique(np.linspace(0, len(self.lag) - 1, TUNED.map_checks).astype(int))
         self.map_lag = self.lag[some] if len(problem.domain) else self.lag[:0]
         self.far = problem.far(source)
         self._coefficients: dict[int, np.ndarray] = {}
@@ -238,7 +230,7 @@ class Growth:
             if not space.extend(*poles.next()):
                 return 0.0  # the space holds all that the source can reach
             wait -= 1
-            if space.size < SHORTEST or wait > 0:
+            if space.size < TUNED.shortest or wait > 0:
                 continue
             found, rate, cheap = self._estimate()
             if not math.isfinite(found):
@@ -246,18 +238,20 @@ class Growth:
                     f"krylov lost its numbers at {space.size} vectors; look for apertures that lie "
                     "too far apart, or use solver.method implicit"
                 )
-            error, before = max(found, FALL * before), found
+            error, before = max(found, TUNED.fall * before), found
             if error <= tolerance:
                 return error
             seen[space.size] = error
-            late = [e for size, e in seen.items() if size > space.size - IDLE]
+            late = [e for size, e in seen.items() if size > space.size - TUNED.idle]
             early = list(seen.values())[: -len(late)]
             gained = not early or min(late) < 0.5 * min(early)
-            if not gained and max(late) <= min(ROUND_OFF * space.noise(), MOST_ROUND_OFF):
+            if not gained and max(late) <= min(
+                TUNED.round_off * space.noise(), TUNED.most_round_off
+            ):
                 return max(late)
             further = math.log(tolerance / error) / math.log(rate)
-            cheap |= self.problem.system.pores <= FEW_PORES
-            wait = 1 if cheap else min(MOST_WAIT, math.ceil(STRIDE * further))
+            cheap |= self.problem.system.pores <= TUNED.few_pores
+            wait = 1 if cheap else min(TUNED.most_wait, math.ceil(TUNED.stride * further))
         raise ModelError(
             f"krylov reached a relative error of {error:.2g} in {MOST_VECTORS} vectors, not "
             f"{tolerance:g}; raise solver.tolerance, or record fewer decades of time"
@@ -272,7 +266,7 @@ class Growth:
         the whole field has to converge as well, in the C-norm, which the coefficients tell.
         Maps are looked at once all that has converged.
         """
-        cheap = self.space.noise() <= NOISE_SHARE * self.problem.tolerance
+        cheap = self.space.noise() <= TUNED.noise_share * self.problem.tolerance
         if not cheap:
             self.space.measure()
             self._outputs.clear()
@@ -293,15 +287,15 @@ class Growth:
         """
         size = self.space.size
         worst, slowest = 0.0, 0.0
-        for width in WIDTHS:
-            if size <= (width if width <= POLES else 2 * width):
+        for width in TUNED.widths:
+            if size <= (width if width <= TUNED.poles else 2 * width):
                 continue
             now = change(size, size - width)
             before = change(size - width, size - 2 * width) if size > 2 * width else 1.0
             seen = self._reductions.setdefault((change.__name__, width), {})
             seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
-            reduction = max(r for when, r in seen.items() if when > size - LATE)
-            worst = max(worst, CAUTION * now * reduction)
+            reduction = max(r for when, r in seen.items() if when > size - TUNED.late)
+            worst = max(worst, TUNED.caution * now * reduction)
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
 

@@ -4,9 +4,19 @@ With A = C^(−1/2) G C^(−1/2) on the pores, wells eliminated, the space holds
 the images (A + s)⁻¹ x of its own last vector x for real poles s. The basis is orthonormal in
 √C p. Every solve tells what A does to its result, A w = x − s w, so that the projection of A
 follows from the coefficients of the orthogonalisation alone (Ruhe 1984, Linear Algebra Appl.
-58, 391–405). Its round-off is that of the largest eigenvalue; where that is too much for the
-slowest modes, or once at the end, the projection is measured: the QR decomposition of the
-edge differences √g (u_i − u_j) keeps small eigenvalues that a product would lose.
+58, 391–405): let V hold the basis so far, its last vector v_m, and H = VᵀAV. The image
+w' = (A + s)⁻¹ v_m of length σ, w = w' / σ, is orthogonalised, w = V c + β v with v the new vector.
+From A w = v_m / σ − s w
+
+    A v = (A w − A V c) / β = (v_m / σ − s (V c + β v) − A V c) / β,
+
+and since V and v are orthonormal and A is symmetric, the new column and corner of H are
+
+    h = VᵀA v = (e_m / σ − s c − H c) / β,    vᵀA v = −s − hᵀc / β,
+
+without a product with A. The round-off is that of the largest eigenvalue; where that is too much
+for the slowest modes, or once at the end, the projection is measured: the QR decomposition of
+the edge differences √g (u_i − u_j) keeps small eigenvalues that a product would lose.
 
 A fixed pressure behind a strong pipe puts into C^(−1/2) f what its own pores exchange with it, and
 a slow mode's share in that lies below its last digit. The space of such a source starts from the
