@@ -201,6 +201,24 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "decades": step_decades,
 }
 
+_PACK_READS: Mapping[str, Callable[[Scene], Any]] = {
+    "region": lambda s: s.region,
+    "count": lambda s: s.grains.count,
+    "mean_radius": lambda s: s.grains.mean_radius,
+    "packing": lambda s: s.grains.packing,
+    "radius_ratio": lambda s: s.grains.radius_ratio,
+    "porosity": lambda s: s.grains.porosity,
+    "tile": lambda s: s.grains.tile if s.grains.packing == "periodic" else 0,
+    "packing_pressure": lambda s: s.grains.packing_pressure,
+    "packing_friction": lambda s: s.grains.packing_friction,
+    "seed": lambda s: s.grains.seed,
+    "floaters": lambda s: s.grains.floaters,
+    "sizes": lambda s: s.grains.sizes,
+    "radius_deviation": lambda s: s.grains.radius_deviation,
+    "radii": lambda s: s.grains.radii,
+    "refine": lambda s: refined_places(s.grains.refine, s.wells, s.fractures, s.region),
+}
+
 STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
@@ -208,23 +226,19 @@ STAGES: tuple[Stage, ...] = (
         version=7,
         parents=(),
         reads={
-            "region": lambda s: s.region,
-            "count": lambda s: s.grains.count,
-            "mean_radius": lambda s: s.grains.mean_radius,
-            "packing": lambda s: s.grains.packing,
-            "radius_ratio": lambda s: s.grains.radius_ratio,
-            "porosity": lambda s: s.grains.porosity,
-            "tile": lambda s: s.grains.tile if s.grains.packing == "periodic" else 0,
-            "packing_pressure": lambda s: s.grains.packing_pressure,
-            "packing_friction": lambda s: s.grains.packing_friction,
-            "seed": lambda s: s.grains.seed,
-            "floaters": lambda s: s.grains.floaters,
-            "sizes": lambda s: s.grains.sizes,
-            "radius_deviation": lambda s: s.grains.radius_deviation,
-            "radii": lambda s: s.grains.radii,
-            "refine": lambda s: refined_places(s.grains.refine, s.wells, s.fractures, s.region),
+            **_PACK_READS,
+            "specimen": lambda s: (s.tests and not s.porous) or None,
         },
         wanted=_always,
+        product=Packing,
+    ),
+    Stage(
+        name="specimen",
+        function="demflow.model.mechanics.packing.packing:pack",
+        version=1,
+        parents=(),
+        reads={**_PACK_READS, "specimen": lambda s: True},
+        wanted=lambda s: s.tests and s.porous,
         product=Packing,
     ),
     Stage(
@@ -277,8 +291,8 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="demflow.model.mechanics.loading.strength:strength",
-        version=5,
-        parents=("pack",),
+        version=6,
+        parents=("pack", "specimen"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,

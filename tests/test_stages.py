@@ -126,6 +126,7 @@ def test_an_output_runs_the_stages_that_it_needs_and_no_flow_or_test_besides(nam
     assert set(OBSERVABLES[name]) | {"pack", "observe"} <= run
     always = {
         "pack",
+        "specimen",
         "unit_loads",
         "stress",
         "calibrate",
@@ -144,9 +145,11 @@ def test_products_are_named_arrays(stage):
         assert value.dtype.kind in "fibU"
 
 
+PACKED = {"region", "grains.count", "grains.seed", "grains.porosity", "grains.radius_ratio"}
+PACKED |= {"grains.packing_stress", "grains.packing_friction"}
 READS = {
-    "pack": {"region", "grains.count", "grains.seed", "grains.porosity", "grains.radius_ratio"}
-    | {"grains.packing_stress", "grains.packing_friction"},
+    "pack": PACKED,
+    "specimen": PACKED,
     "unit_loads": {"grains.friction", "grains.stiffness_ratio"},
     "stress": {"stress", "bonds", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
     | {"grains.seed", "joint"},

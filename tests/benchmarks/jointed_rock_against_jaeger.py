@@ -55,6 +55,7 @@ def run() -> Result:
             porosity=0.16,
             seed=seed,
             floaters="fit",
+            specimen=True,
         )
         for seed in range(1, PACKINGS + 1)
     ]

@@ -26,13 +26,12 @@ WITHIN = (0.10, 0.04, 0.15)
 CONFINING = (0.1e6, 10e6, 30e6, 70e6)
 PACKINGS, FURTHER = 10, 3  # at the least confinement, at the others
 WIDTH, HEIGHT, RADIUS = 0.0317, 0.0634, 0.36e-3
-MARGIN = 2 * 9.0 * RADIUS  # by which `pack` makes the specimen larger than the region
 
 
 def specimen(seed: int) -> Packing:
     """One of the packings; all of it is tested."""
     return pack(
-        region=Rectangle(WIDTH - MARGIN, HEIGHT - MARGIN),
+        region=Rectangle(WIDTH, HEIGHT),
         count=None,
         mean_radius=RADIUS,
         packing="random",
@@ -40,6 +39,7 @@ def specimen(seed: int) -> Packing:
         porosity=0.16,
         seed=seed,
         floaters="fit",
+        specimen=True,
     )
 
 

@@ -1,5 +1,7 @@
 """Tests to failure: moduli and strengths, their symmetries and scales, what has no peak."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,20 @@ from demflow.model.mechanics.specimen import measures
 from demflow.model.mechanics.static.moduli import in_plane_strain
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StrengthTest
-from demflow.model.scene import Bonds, FailureTest, Joint, JointLine, Stress
+from demflow.model.region import Rectangle
+from demflow.model.scene import (
+    BiWing,
+    Bonds,
+    FailureTest,
+    Fluid,
+    Grains,
+    Joint,
+    JointLine,
+    Matrix,
+    Scene,
+    Stress,
+)
+from demflow.model.stages import run_stages, simulate
 from tests.mechanics.rocks import packed
 
 pytestmark = pytest.mark.slow
@@ -58,6 +73,59 @@ def static_moduli(rock: Packing, cement: Bonds, confining: float, axial: float) 
     moved = (two.x - one.x)[inside], (two.y - one.y)[inside]
     strain = measures.affine_strain(*place, *moved)
     return (confining - axial) / strain[1, 1], -strain[0, 0] / strain[1, 1]
+
+
+def of_size(width: float, height: float, **given) -> Scene:
+    """A specimen as a study asks for it."""
+    return Scene(
+        region=Rectangle(width, height),
+        grains=Grains(count=250, porosity=0.16, floaters="fit", modulus=KN, stiffness_ratio=2.5),
+        bonds=bonds(),
+        test=FailureTest(confining_stress=10e6, strain_step=4e-6, confinement="membrane"),
+        observe=("peak_strength",),
+        **given,
+    )
+
+
+@pytest.mark.parametrize(("width", "height"), [(0.034, 0.1), (0.05, 0.1), (0.012, 0.12)])
+def test_a_specimen_has_the_size_that_is_asked_for(width, height) -> None:
+    """Aspect ratios 3, 2 and 10, few grains wide; and one that has flow, too, is tested alike."""
+    scene = of_size(width, height)
+    made = run_stages(scene)["strength"]
+    assert np.diff(made.box)[[0, 2]] == pytest.approx([width, height], rel=0.01)
+    both = dataclasses.replace(
+        scene,
+        matrix=Matrix(aperture=1e-6),
+        fluid=Fluid(1e-3, 2e9),
+        observe=("peak_strength", "permeability"),
+    )
+    assert run_stages(both)["strength"].peak_strength == made.peak_strength
+
+
+def test_a_joint_across_the_region_parts_the_specimen() -> None:
+    """It slides as one that goes on beyond the region does, at a tenth of the rock's strength."""
+    across, beyond = (
+        float(
+            simulate(
+                of_size(
+                    0.034,
+                    0.1,
+                    fractures=(
+                        BiWing(
+                            name="plane",
+                            at=(0.0, 0.0),
+                            angle=np.radians(55.0),
+                            half_length=half,
+                            joint=Joint(2e13, 2e13, friction=0.364),
+                        ),
+                    ),
+                )
+            )["peak_strength"]
+        )
+        for half in (0.0297, 0.2)
+    )
+    assert across == pytest.approx(beyond, rel=0.01)
+    assert across < 40e6
 
 
 def test_slow_test_follows_the_static_solver(rock) -> None:

@@ -71,6 +71,7 @@ class Record(NamedTuple):
 
 def strength(
     packing: Packing,
+    specimen_packing: Packing | None = None,
     *,
     normal_stiffness: float,
     stiffness_ratio: float,
@@ -85,7 +86,8 @@ def strength(
 
     Parameters
     ----------
-    packing : the packed state; all of it is the specimen.
+    packing : the packed state; all of it is the specimen, unless one was packed for itself,
+    specimen_packing : as where the same scene has flow, which needs grains beyond its region.
     normal_stiffness, stiffness_ratio, friction, bonds, contact, joints : as for `stress.load`.
     test : what is done to it.
     seed : of the bonds' strengths.
@@ -95,6 +97,7 @@ def strength(
     ModelError : the specimen does not come to rest before the test, relieved or under the
         confining stress, or comes to no peak within the largest strain.
     """
+    packing = specimen_packing or packing
     relieved = relieve(packing)
     unit, middle = float(packing.radius.mean()), _middle(relieved.box)
     pressure = max(test.confining_stress, EXPECTED * normal_stiffness)

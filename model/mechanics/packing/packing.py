@@ -1,4 +1,4 @@
-"""The stage *pack*: grains at rest in a box that is larger than the region.
+"""The stages *pack* and *specimen*: grains at rest in a box larger than the region, or as large.
 
 A packing is made in units of the mean radius and the normal stiffness (`compaction`), by the
 recipe that leads to what is wanted of it (`targets`), and scaled here; a lattice is laid.
@@ -11,18 +11,21 @@ import numpy as np
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.packing.cell import Cell
-from demflow.model.mechanics.packing.compaction import WALL_LAYER, Trial
+from demflow.model.mechanics.packing.compaction import WALL_LAYER, Trial, attempt
 from demflow.model.mechanics.packing.grading import coarse_radius, graded
 from demflow.model.mechanics.packing.lattices import CELL_AREA, lattice
 from demflow.model.mechanics.packing.packing_targets import Target, meet
-from demflow.model.mechanics.packing.sizes import sizes_of
+from demflow.model.mechanics.packing.sizes import Sizes, sizes_of
 from demflow.model.mechanics.packing.tiles import Tiled, bounds, tiled
 from demflow.model.mechanics.specimen import measures
+from demflow.model.outcome import ModelError
 from demflow.model.products import Packing
 from demflow.model.region import Region, bounding_box
 from demflow.model.scene.lines import RefinedPlace
 
 MARGIN = 9.0  # mean radii between the region and each wall
+SIZE_TOLERANCE = 0.01  # relative error of either side of a specimen
+SIZE_TRIES = 10
 LEAST_WIDTH = 40.0  # mean radii: least width of the inner box, else its porosity is noise
 
 
@@ -43,6 +46,7 @@ def pack(
     radius_deviation: float | None = None,
     radii: tuple[float, ...] | None = None,
     refine: tuple[RefinedPlace, ...] | None = None,
+    specimen: bool | None = None,
 ) -> Packing:
     """Grains at rest that cover the region with a margin, see the head of this file.
 
@@ -67,17 +71,21 @@ def pack(
         `count` still that of all.
     floaters : "leave" them as they lie, or "fit" them into their voids (`floaters.fit`): a grain
         without load then touches three others without force, and bonds may hold it.
+    specimen : the region's bounding box gets no margin: walls stand there, within
+        `SIZE_TOLERANCE` of either side, and `porosity` is that away from them. Grains of a given
+        `mean_radius` have it within that, too.
 
     Raises
     ------
     ModelError : the target cannot be reached, or the grains did not come to rest.
     """
+    margin = 0.0 if specimen else MARGIN
     box = np.array(bounding_box(region))
     if packing in CELL_AREA:
         if mean_radius is None:
             assert count is not None  # one of the two is given
             mean_radius = float(np.sqrt(region.area / (count * CELL_AREA[packing])))
-        grown = box + MARGIN * mean_radius * np.array([-1.0, 1.0, -1.0, 1.0])
+        grown = box + margin * mean_radius * np.array([-1.0, 1.0, -1.0, 1.0])
         return lattice(packing, mean_radius, tuple(grown.tolist()))
     target = Target(porosity, packing_pressure, packing_friction)
     law = sizes_of(sizes, radius_ratio, radius_deviation, radii)
@@ -89,7 +97,7 @@ def pack(
         if grading is not None:
             share = np.pi * law.mean_square / (1.0 - target.expected_porosity)
             mean_radius = coarse_radius(grading, region, count, share)
-    size = np.array([box[1] - box[0], box[3] - box[2]]) / mean_radius + 2.0 * MARGIN
+    size = np.array([box[1] - box[0], box[3] - box[2]]) / mean_radius + 2.0 * margin
     centre = 0.5 * np.array([box[0] + box[1], box[2] + box[3]])
     if grading is not None:
         law = law._replace(grading=grading.moved(centre, mean_radius))
@@ -99,13 +107,43 @@ def pack(
         trial = meet(target, np.array([side, side]), law, seed, fits=fits, periodic=True)
         assert isinstance(trial.specimen, Cell)
         return _tiled_product(trial, tiled(trial.specimen, size, fits=fits), mean_radius, centre)
-    size = np.maximum(size, LEAST_WIDTH + 2.0 * WALL_LAYER)
-    trial = meet(target, size, law, seed, fits=fits)
+    roomy = np.maximum(size, LEAST_WIDTH + 2.0 * WALL_LAYER)
+    trial = meet(target, roomy, law, seed, fits=fits)
+    if specimen:
+        trial = _of_size(trial, size, target.expected_porosity, law, seed, fits=fits)
+        mean_radius *= float(np.sqrt(np.prod(size) / np.prod(_sides(trial))))
     made = _product(trial, mean_radius, centre)
     if grading is not None:
         scale = grading.size(np.column_stack([made.x, made.y]), mean_radius)
         made = made._replace(scale=scale)
     return made
+
+
+def _of_size(
+    trial: Trial, size: Array, porosity: float, law: Sizes, seed: int, *, fits: bool
+) -> Trial:
+    """A packing by the recipe of another one in a box of a size, where that has not got it.
+
+    Between walls grains lie more loosely than the porosity away from them tells: there are fewer.
+    """
+    room, recipe, found = size, trial.recipe, trial
+    for draw in range(SIZE_TRIES):
+        sides = _sides(found)
+        if found.rested and np.all(np.abs(sides / size - 1.0) <= SIZE_TOLERANCE):
+            return found._replace(porosity=trial.porosity)
+        if draw > 0:
+            room = room * size / sides
+        found = attempt(recipe, porosity, room, law, [seed, draw], fits=fits)
+    raise ModelError(
+        f"no packing {size[0]:.3g} by {size[1]:.3g} mean radii wide and high came to rest in "
+        f"{SIZE_TRIES} tries; try another grains.seed or more grains"
+    )
+
+
+def _sides(trial: Trial) -> Array:
+    """Width and height of its box, in mean radii."""
+    box = trial.specimen.box
+    return np.array([box[1] - box[0], box[3] - box[2]])
 
 
 def _product(trial: Trial, mean_radius: float, centre: Array) -> Packing:
