@@ -119,6 +119,12 @@ def graph_of(lines: Sequence[Line], region: Region, wells: Sequence[WellPlace]) 
     """Nodes and branches of lines, and where they meet sides and wells.
 
     A line that passes a well is cut at the point nearest to it, which lies in the well.
+
+    Parameters
+    ----------
+    lines : straight pieces of fractures, m
+    region : where the case lies, m
+    wells : where wells stand, and how wide they are
     """
     start = np.array([line.start for line in lines]).reshape(-1, 2)
     end = np.array([line.end for line in lines]).reshape(-1, 2)

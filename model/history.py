@@ -139,6 +139,13 @@ def superposed_error(
 
     `flows` says whether inflows at fixed pressures count. By their names in
     `model.quantities.CASE`.
+
+    Parameters
+    ----------
+    responses : step responses of all sources
+    reference : the same, with far smaller errors in time
+    controls : rates and pressures of the case in time
+    flows : whether inflows at fixed pressures count
     """
     held = sum(well.pressure is not None for well in controls.wells)
     sizes = [max((abs(q) for _, q in changes), default=0.0) for changes in step_sizes(controls)]
@@ -180,6 +187,13 @@ def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
     """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
 
     A step acts after its time, not at it. At infinity (a steady study) every step acts.
+
+    Parameters
+    ----------
+    responses : (sources, l, …) for a unit each
+    lag : (l,) s since the step
+    steps : sizes and times of the steps of each source
+    at : times (t,), s
     """
     total = np.zeros((len(at), *responses.shape[2:]))
     for source, changes in enumerate(steps):
@@ -193,7 +207,15 @@ def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
 
 
 def started(fields: Array, lag: Array, weights: tuple[float, ...], at: Array) -> Array | float:
-    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …)."""
+    """What is left at the times `at` (t,) of the initial fields (fields, l or 1, …), (t, …).
+
+    Parameters
+    ----------
+    fields : what is left of each initial field, (fields, l or 1, …)
+    lag : (l,) s
+    weights : of the fields, (fields,)
+    at : times (t,), s
+    """
     total: Array | float = 0.0
     for field, weight in zip(fields, weights, strict=True):
         total = total + weight * (field if len(field) == 1 else field[np.searchsorted(lag, at)])

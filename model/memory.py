@@ -40,7 +40,14 @@ def available() -> float:
 
 
 def foresee(what: str, size: float, cure: str = "lower grains.count") -> None:
-    """Raise `OutOfMemory` where `size` bytes for `what` would not fit; `cure` makes it smaller."""
+    """Raise `OutOfMemory` where `size` bytes for `what` would not fit; `cure` makes it smaller.
+
+    Parameters
+    ----------
+    what : what takes them
+    size : bytes
+    cure : what makes it smaller
+    """
     if size < SMALL or size <= (left := available()):
         return
     raise OutOfMemory(

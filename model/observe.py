@@ -62,7 +62,24 @@ def observe(
     controls: Controls,
     wanted: tuple[str, ...],
 ) -> dict[str, np.ndarray]:
-    """Everything that a study asks of one case, under its names in `model.quantities.CASE`."""
+    """Everything that a study asks of one case, under its names in `model.quantities.CASE`.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    stress : grains in equilibrium under the stress
+    tested : the test to failure
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    permeability : of the open network
+    responses : step responses of the flow
+    reference : the same with far smaller errors in time
+    traces : the network of the fractures
+    moduli : elastic constants
+    region : where the case lies, m
+    controls : rates and pressures of the case in time
+    wanted : names of what is observed
+    """
     from demflow.model.mechanics.specimen.measures import packing_quality
 
     grains = contains(region, np.column_stack([packing.x, packing.y]))

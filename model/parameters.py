@@ -86,6 +86,12 @@ def bound_problem(
 
     The bounds of a tuple are those of each of its numbers. `show` writes a number of the
     field's unit for whoever gave the value; by default in SI.
+
+    Parameters
+    ----------
+    declared : the field
+    value : what was given
+    show : writes a number for whoever gave it; by default in SI
     """
     meta = declared.metadata
     if not meta or value is None:

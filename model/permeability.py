@@ -23,6 +23,12 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     left out.
 
     Raises `ModelError` where no pipe conducts.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    viscosity : of the fluid, Pa s
     """
     d, m = len(network.x), len(apertures.node_x)
     within = (
@@ -141,5 +147,12 @@ def calibrate(network: Network) -> Permeability:
 
 
 def measure(network: Network, apertures: Apertures, *, viscosity: float) -> Permeability:
-    """Permeability of the open network (the *measure* stage)."""
+    """Permeability of the open network (the *measure* stage).
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    viscosity : of the fluid, Pa s
+    """
     return Permeability(permeability(network, apertures, viscosity=viscosity))

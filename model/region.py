@@ -214,6 +214,12 @@ def exit_point(
     Parameters: start points inside (n, 2) and end points outside (n, 2). Returns
     the fraction of each segment that lies before the first crossing, (n,) in
     [0, 1], and the index of the side that is crossed, (n,) into `region.sides`.
+
+    Parameters
+    ----------
+    region : where the case lies, m
+    inside : start points, (n, 2) m
+    outside : end points, (n, 2) m
     """
     inside = np.asarray(inside, dtype=float).reshape(-1, 2)
     step = np.asarray(outside, dtype=float).reshape(-1, 2) - inside
@@ -381,7 +387,13 @@ def clip_segment(
     start: tuple[float, float] | np.ndarray,
     end: tuple[float, float] | np.ndarray,
 ) -> list[tuple[float, float]]:
-    """Parts of the segment start–end inside the region, as fractions (s0, s1) of it, in order."""
+    """Parts of the segment start–end inside the region, as fractions (s0, s1) of it, in order.
+
+    Parameters
+    ----------
+    region : where the case lies, m
+    start, end : x, y in m
+    """
     a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
     step = b - a
     cuts = [0.0, 1.0]
@@ -433,6 +445,11 @@ def clip_segments(
 
     Returns the segment of each part (m,), in order, and the fractions of it, (m,) each, between
     which the part lies; a segment that leaves and comes back has several.
+
+    Parameters
+    ----------
+    region : where the case lies, m
+    start, end : (n, 2) m
     """
     start, end = (np.asarray(ends, dtype=float).reshape(-1, 2) for ends in (start, end))
     xmin, xmax, ymin, ymax = bounding_box(region)

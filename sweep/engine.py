@@ -187,6 +187,17 @@ def run(
 
     Warns with a `RunWarning` of cases that did not end as the study expects, and of what the
     command line tells beside its results.
+
+    Parameters
+    ----------
+    path : of the study
+    workers : processes on this machine
+    results : folder that holds the results of all studies
+    scheduler : address of a Dask scheduler to use instead
+    retry_failed : whether cases that failed are tried again
+    force : whether all is computed again
+    smoke : whether the overrides under `smoke:` hold
+    progress : called with the state of the run, several times a second
     """
     from demflow.sweep.dataset.open import open_results
 
@@ -224,6 +235,13 @@ def draw_study(
 
     Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset, or
     one of other cases than the study's.
+
+    Parameters
+    ----------
+    path : of the study
+    results : folder that holds the results of all studies
+    smoke : whether the overrides under `smoke:` hold
+    table : the table of stages, as `module:name`
     """
     from demflow.sweep.dataset.file import recorded
 
@@ -243,6 +261,13 @@ def collect_study(
     """Write the dataset of what is finished of a study; nothing is run, missing cases say so.
 
     Raises StudyError, StoreError, LockedError, OSError.
+
+    Parameters
+    ----------
+    path : of the study
+    results : folder that holds the results of all studies
+    smoke : whether the overrides under `smoke:` hold
+    table : the table of stages, as `module:name`
     """
     prepared = prepare(path, results, smoke=smoke, table=table)
     root = prepared.folder.parent
@@ -303,7 +328,14 @@ def check_is_of(path: Path, prepared: Project) -> None:
 
 
 def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finished:
-    """Write figures and report; those that are there, whole, stay unless drawn `again`."""
+    """Write figures and report; those that are there, whole, stay unless drawn `again`.
+
+    Parameters
+    ----------
+    prepared : study, plan and store
+    finished : the dataset as a run has left it
+    again : whether figures that are there, whole, are drawn too
+    """
     folder = prepared.folder
     report = folder / REPORT_FILE
     if not again and report.exists() and is_whole(folder / FIGURES):

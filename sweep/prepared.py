@@ -108,6 +108,15 @@ def prepare(
     """Read a study, make its plan and open the store of its results; `tell` hears what takes long.
 
     Nothing is written unless `create` says so. Raises StudyError, StoreError.
+
+    Parameters
+    ----------
+    path : of the study
+    results : folder that holds the results of all studies
+    smoke : whether the overrides under `smoke:` hold
+    table : the table of stages, as `module:name`
+    create : whether the folder of results is made
+    tell : hears what takes long
     """
     study = load_study(path, smoke=smoke)
     builder = SceneBuilder(study.values, study.axes)
@@ -127,7 +136,14 @@ def planned(
     stages: Stages | None = None,
     tell: Callable[[str], None] | None = None,
 ) -> Plan:
-    """Return the plan of all cases of a study, by the model's table of stages or another."""
+    """Return the plan of all cases of a study, by the model's table of stages or another.
+
+    Parameters
+    ----------
+    study : the study, read and checked
+    stages : table of stages; None: the model’s
+    tell : hears what takes long
+    """
     builder = SceneBuilder(study.values, study.axes)
     return make_plan(_scenes(study, builder, tell), stages or stage_table())
 

@@ -90,6 +90,9 @@ def images_of_sides(
 
     Parameters
     ----------
+    west : what stands on that side of the well, and how far, over its radius
+    east : the same on the other side
+    south, north : the same
     s : Laplace variable off the negative real axis.
 
     Raises
@@ -136,7 +139,15 @@ def with_sides(
     south: Side = NO_SIDE,
     north: Side = NO_SIDE,
 ) -> Transform:
-    """p̄_D(s) of a well in an unbounded reservoir, with up to four sides (`images_of_sides`)."""
+    """p̄_D(s) of a well in an unbounded reservoir, with up to four sides (`images_of_sides`).
+
+    Parameters
+    ----------
+    transform : p̄_D(s) of the well in an unbounded reservoir
+    west : what stands on that side of the well, and how far, over its radius
+    east : the same on the other side
+    south, north : the same
+    """
 
     def bounded(s: np.ndarray) -> np.ndarray:
         return transform(s) + images_of_sides(s, west, east, south, north) / s
@@ -156,6 +167,9 @@ def with_double_porosity(
 
     Parameters
     ----------
+    transform : p̄_D(s) of the same well in rock of one porosity
+    slabs : whether the matrix lies in slabs with transient flow; else flow out of blocks is
+        pseudo-steady
     storativity : ω, the fractures' share of the storage, in (0, 1].
     interporosity : λ = α k_m r_w² / k_f, above zero.
     """

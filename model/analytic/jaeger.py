@@ -31,6 +31,12 @@ def mobilised_friction(axial: np.ndarray | float, confining: float, angle: float
     """Angle between the traction on a plane and its normal, rad, under stresses σ1 and σ3.
 
     `axial` is σ1, Pa, any shape; `angle` that between the plane and the direction of σ3, rad.
+
+    Parameters
+    ----------
+    axial : σ1, Pa, any shape
+    confining : σ3, Pa
+    angle : between the plane and the direction of σ3, rad
     """
     normal = axial * np.cos(angle) ** 2 + confining * np.sin(angle) ** 2
     return np.arctan2(0.5 * (axial - confining) * np.sin(2.0 * angle), normal)

@@ -22,6 +22,12 @@ def with_storage_and_skin(transform: Transform, C_D: float, skin: float) -> Tran
     AIME 186, for the storage; van Everdingen (1953), Trans. AIME 198, and Agarwal, Al-Hussainy
     & Ramey (1970), SPE J. 10, 279–290, with the skin. The inner solution may be that of
     any reservoir.
+
+    Parameters
+    ----------
+    transform : p̄_D(s) of the well without them
+    C_D : storage over 2π φ c h r_w²
+    skin : S
     """
 
     def changed(s: np.ndarray) -> np.ndarray:

@@ -34,6 +34,7 @@ def closed_circle_pseudo_steady(R_D: ArrayLike, t_D: ArrayLike, R_De: float) -> 
 
     Parameters
     ----------
+    R_De : radius of the circle over that of the well
     R_D : radius over the well's, in [1, R_De].
     t_D : k t / (φ μ c r_w²). Broadcasts with `R_D`.
 

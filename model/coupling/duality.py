@@ -82,7 +82,13 @@ def pores_of(packing: Packing, network: Network) -> Pores:
 
 
 def place_of(x: Array, y: Array, box: Array) -> Array:
-    """The vector (3 n + 4,) of places from centres (n,) and walls (4,), m."""
+    """The vector (3 n + 4,) of places from centres (n,) and walls (4,), m.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    box : walls, (4,) m
+    """
     place = np.zeros(3 * len(x) + 4)
     place[:-4:3], place[1:-4:3], place[-4:] = x, y, box
     return place

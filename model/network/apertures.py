@@ -18,17 +18,37 @@ def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: Any) -> np.
 
     Eq. 2 with its sign put right: F0 (`half_force`, N per metre) is the force that halves
     the aperture w0 (m). `force` ≥ 0 is compressive.
+
+    Parameters
+    ----------
+    w0 : apertures without force, (p,) m
+    force : F ≥ 0, compressive, (p,) N per metre of depth
+    half_force : F0, (p,) or one, N per metre of depth
     """
     return w0 * half_force / (force + half_force)
 
 
 def parted_aperture(w0: np.ndarray, gap: np.ndarray, gap_factor: float) -> np.ndarray:
-    """Aperture of pipes whose grains have parted, w = w0 + m g (Eq. 3); gap g ≥ 0 in m."""
+    """Aperture of pipes whose grains have parted, w = w0 + m g (Eq. 3); gap g ≥ 0 in m.
+
+    Parameters
+    ----------
+    w0 : apertures of grains that touch, (p,) m
+    gap : g ≥ 0, (p,) m
+    gap_factor : m
+    """
     return w0 + gap_factor * gap
 
 
 def pipe_conductance(aperture: np.ndarray, length: np.ndarray, viscosity: float) -> np.ndarray:
-    """Conductance of a pipe between parallel plates, g = w³ / (12 μ L) (Eq. 1), m³/(s Pa)."""
+    """Conductance of a pipe between parallel plates, g = w³ / (12 μ L) (Eq. 1), m³/(s Pa).
+
+    Parameters
+    ----------
+    aperture : w, (p,) m
+    length : L, (p,) m
+    viscosity : of the fluid, Pa s
+    """
     return aperture**3 / (12.0 * viscosity * length)
 
 
@@ -38,7 +58,14 @@ def transmissivity(aperture: Any, viscosity: float) -> Any:
 
 
 def uniform(network: Network, aperture: float, viscosity: float) -> Apertures:
-    """The network with one aperture everywhere and no fracture."""
+    """The network with one aperture everywhere and no fracture.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    aperture : m
+    viscosity : of the fluid, Pa s
+    """
     p = len(network.pipe_from)
     conductance = pipe_conductance(np.full(p, float(aperture)), network.pipe_length, viscosity)
     none, nowhere = np.empty(0, dtype=np.int64), np.empty(0)

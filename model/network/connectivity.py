@@ -10,7 +10,14 @@ from scipy.sparse.csgraph import connected_components
 
 
 def component_labels(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Number of the connected part to which each of n nodes belongs, given edges (a, b)."""
+    """Number of the connected part to which each of n nodes belongs, given edges (a, b).
+
+    Parameters
+    ----------
+    n : number of nodes
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    """
     if n == 0:
         return np.empty(0, dtype=np.int64)
     graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
@@ -20,6 +27,14 @@ def component_labels(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def reached(
     n: int, a: np.ndarray, b: np.ndarray, origins: np.ndarray | Sequence[int]
 ) -> np.ndarray:
-    """Which of n nodes edges (a, b) connect to one of the origins, as a mask (n,)."""
+    """Which of n nodes edges (a, b) connect to one of the origins, as a mask (n,).
+
+    Parameters
+    ----------
+    n : number of nodes
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    origins : nodes (k,) from which the others are looked for
+    """
     label = component_labels(n, a, b)
     return np.isin(label, label[np.asarray(origins, dtype=np.int64)])

@@ -59,6 +59,12 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
     mirror image.
 
     Raises `ModelError` where no domain lies inside the region.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    region : where the case lies, m
+    walled : whether pores at the walls of the packing count, and no rim cuts
     """
     if walled:
         packing = enclosed(packing)

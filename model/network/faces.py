@@ -16,6 +16,12 @@ def prune(n: int, a: Array, b: Array) -> Array:
 
     Grains with fewer than two contacts are removed until none is left.
     Returns a mask over the contacts.
+
+    Parameters
+    ----------
+    n : number of grains
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
     """
     degree = np.zeros(n, np.int64)
     for e in range(a.size):
@@ -39,6 +45,13 @@ def next_half_edges(start: Array, half_edges: Array, a: Array, b: Array) -> Arra
     """The half-edge that follows each one around its face, counter-clockwise.
 
     `half_edges[start[v]:start[v + 1]]` leave grain v in counter-clockwise order.
+
+    Parameters
+    ----------
+    start : where the half-edges of each grain begin, (n + 1,)
+    half_edges : (2 c,), counter-clockwise about each grain
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
     """
     m = half_edges.size
     place = np.empty(m, np.int64)
@@ -88,7 +101,15 @@ def walk_faces(following: Array, origin: Array) -> tuple[Array, Array, Array, Ar
 def measure_faces(
     first: Array, corner_grain: Array, x: Array, y: Array, radius: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Signed area, centroid and void area (polygon less grain sectors) of each face."""
+    """Signed area, centroid and void area (polygon less grain sectors) of each face.
+
+    Parameters
+    ----------
+    first : first corner of each face, (faces + 1,)
+    corner_grain : grain at each corner
+    x, y : centres of grains, (n,) m
+    radius : radii of grains, (n,) m
+    """
     n = first.size - 1
     area = np.empty(n)
     cx = np.empty(n)
@@ -134,6 +155,13 @@ def locate(px: Array, py: Array, first: Array, corner_grain: Array, x: Array, y:
 
     The points are sorted into cells, about one in each; a face looks at the cells that its
     box meets.
+
+    Parameters
+    ----------
+    px, py : points, (k,) m
+    first : first corner of each face, (faces + 1,)
+    corner_grain : grain at each corner
+    x, y : centres of grains, (n,) m
     """
     found = np.full(px.size, -1, np.int64)
     if px.size == 0:
@@ -198,6 +226,13 @@ def crossing_pairs(  # noqa: C901 (a kernel)
 
     Contacts are sorted into square cells of the given size that their boxes meet; a pair is
     looked at in the cell where the boxes' common part begins.
+
+    Parameters
+    ----------
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    x, y : centres of grains, (n,) m
+    size : side of a cell, m
     """
     west, south = x.min(), y.min()
     columns = int((x.max() - west) / size) + 1

@@ -165,14 +165,28 @@ Aperture = float | LogNormal | LengthPower
 
 
 def draw(law: Length | Angle, rng: np.random.Generator, count: int) -> Array:
-    """Values of a law, (count,); one number is that number every time."""
+    """Values of a law, (count,); one number is that number every time.
+
+    Parameters
+    ----------
+    law : of the values
+    rng : source of randomness
+    count : how many
+    """
     if isinstance(law, float | int):
         return np.full(count, float(law))
     return law.draw(rng, count)
 
 
 def apertures(law: Aperture, rng: np.random.Generator, length: Array) -> Array:
-    """Hydraulic aperture of traces of these lengths (m), (n,) m."""
+    """Hydraulic aperture of traces of these lengths (m), (n,) m.
+
+    Parameters
+    ----------
+    law : of the apertures
+    rng : source of randomness
+    length : of the traces, (n,) m
+    """
     if isinstance(law, LengthPower):
         return law.of(length)
     return draw(law, rng, len(length))

@@ -399,7 +399,14 @@ def _map_problems(fracture: TraceMap, region: Region) -> Problems:
 def joint_problems(
     fractures: tuple[Fracture, ...], stress: Stress | None, test: FailureTest | None
 ) -> Problems:
-    """What is wrong with joints and the loads on them, taken together."""
+    """What is wrong with joints and the loads on them, taken together.
+
+    Parameters
+    ----------
+    fractures : the fractures of the scene
+    stress : stress on the rock, or None
+    test : test to failure, or None
+    """
     joints = [fracture for fracture in fractures if fracture.joint is not None]
     if stress is None and test is None:
         what = "a joint acts only where the scene names a stress or a test"

@@ -129,7 +129,17 @@ def ground_problems(
     stress: Stress | None,
     tested: bool,
 ) -> Problems:
-    """What is wrong with holes and weight; `rock` is the region with the holes."""
+    """What is wrong with holes and weight; `rock` is the region with the holes.
+
+    Parameters
+    ----------
+    excavations : holes
+    gravity : m/s², or None
+    rock : the region with the holes
+    density : of the grains, kg/m³
+    stress : stress on the rock, or None
+    tested : whether a test to failure is asked for
+    """
     if gravity is not None and stress is None:
         yield "gravity", "grains bear their weight only under a stress; add one"
     elif gravity is not None and stress is not None:

@@ -108,7 +108,15 @@ def refined_places(
     fractures: tuple[Fracture, ...],
     region: Region,
 ) -> tuple[RefinedPlace, ...] | None:
-    """Places around which grains are finer; None where there are none, or nothing to refine by."""
+    """Places around which grains are finer; None where there are none, or nothing to refine by.
+
+    Parameters
+    ----------
+    refinements : where, how far and how much finer, or None
+    wells : the wells of the scene
+    fractures : the fractures of the scene
+    region : where the case lies, m
+    """
     found: list[RefinedPlace] = []
     for one in refinements or ():
         if one.around == "wells":

@@ -368,7 +368,15 @@ def grain_problems(grains: Grains, region: Region) -> Problems:
 def loading_problems(
     grains: Grains, bonds: Bonds | None, stress: Stress | None, test: FailureTest | None
 ) -> Problems:
-    """What is wrong with a rock and the loads on it, taken together."""
+    """What is wrong with a rock and the loads on it, taken together.
+
+    Parameters
+    ----------
+    grains : how the grains are packed, and how stiff they are
+    bonds : cement at the contacts, or None
+    stress : stress on the rock, or None
+    test : test to failure, or None
+    """
     if (stress or test) is not None and grains.contact_stiffness is None:
         yield "grains.modulus", "a stress needs modulus or normal_stiffness"
     for name, load in (("stress", stress), ("test", test)):

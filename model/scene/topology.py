@@ -119,6 +119,11 @@ def meetings(start: Array, end: Array, snap: float = 0.0) -> Meetings:
 
     A pair meets at every end of one that lies within the tolerance of the other; without one,
     where the two cross. Two that lie on each other meet at both ends of the stretch.
+
+    Parameters
+    ----------
+    start, end : of the lines, (l, 2) m
+    snap : tolerance, m
     """
     start = np.asarray(start, dtype=float).reshape(-1, 2)
     end = np.asarray(end, dtype=float).reshape(-1, 2)

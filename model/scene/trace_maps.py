@@ -83,6 +83,7 @@ def lay(
 
     Parameters
     ----------
+    simplify, snap : distance, m
     file, area : the traces; the rings of the mapped area.
     unit : metres per unit of the file's coordinates.
     origin : `file` (as it is), `centroid` (of the area, or of the traces by their length), or

@@ -55,6 +55,12 @@ def events(dataset: xr.Dataset, index: Index, dimension: str = "event") -> xr.Da
     """What one case has along a ragged dimension, which holds all cases end to end.
 
     `index` gives the position of the case on every axis of the whole dataset.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    index : position of the case on every axis of the whole dataset
+    dimension : the ragged one
     """
     count = dataset[f"{dimension}_count"]
     each = count.values.ravel()
@@ -85,7 +91,14 @@ def display(unit: str, values: np.ndarray | float) -> tuple[float, str]:
 
 
 def with_unit(value: Any, unit: str, digits: int = 4) -> str:
-    """A value as people write it: `with_unit(5e6, "Pa")` is `5 MPa`; a word stays a word."""
+    """A value as people write it: `with_unit(5e6, "Pa")` is `5 MPa`; a word stays a word.
+
+    Parameters
+    ----------
+    value : in SI, or a word
+    unit : SI unit
+    digits : significant digits
+    """
     if isinstance(value, str) or np.ndim(value) != 0 or not np.isrealobj(value):
         return str(value)
     size = float(value)
@@ -117,7 +130,14 @@ def axis_title(name: str) -> str:
 
 
 def axis_value(dataset: xr.Dataset, axis: str, position: int) -> str:
-    """One value of an axis with its unit; of an axis over several parameters, each of them."""
+    """One value of an axis with its unit; of an axis over several parameters, each of them.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    axis : name of the axis
+    position : on the axis, from 0
+    """
 
     def written(name: str) -> str:
         value = dataset[name].values[position].item()

@@ -75,6 +75,12 @@ def comparable_cases(
     """Every case that is done, with its scene.
 
     Raises ComparisonError where none is done or a scene is not the formula's, saying why.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    scene_of : the scene of the case at an index
+    kind : linear or radial
     """
     cases = [(index, scene_of(index)) for index in done(dataset)]
     if not cases:
@@ -117,7 +123,14 @@ def compared_permeability(scene: Scene, case: xr.Dataset) -> float:
 
 
 def bin_means(place: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Mean of values (..., n) in each bin of places (n,), (..., bins); NaN in empty bins."""
+    """Mean of values (..., n) in each bin of places (n,), (..., bins); NaN in empty bins.
+
+    Parameters
+    ----------
+    place : (n,)
+    values : (..., n)
+    edges : of the bins, (bins + 1,)
+    """
     bins = len(edges) - 1
     member = np.searchsorted(edges, place, side="right") - 1
     (inside,) = np.nonzero((member >= 0) & (member < bins))

@@ -189,6 +189,7 @@ def fit(
 
     Parameters
     ----------
+    seed : of the values to begin from
     predict : from values by name to the model's data, (n,).
     data : (n,), the same scatter everywhere.
     free : the parameters and their bounds.

@@ -130,6 +130,8 @@ def unit_response(model: Model, rock: Rock, values: Values, times: ArrayLike) ->
 
     Parameters
     ----------
+    model : well, reservoir and boundaries
+    rock : what is known of rock and fluid
     values : SI, every name of `sweep.study.reservoir.parameters_of`.
     times : above zero, s.
 
@@ -164,7 +166,14 @@ class Response:
         self.exact = few
 
     def at(self, model: Model, rock: Rock, values: Values) -> np.ndarray:
-        """Response at each lag, Pa s/m³."""
+        """Response at each lag, Pa s/m³.
+
+        Parameters
+        ----------
+        model : well, reservoir and boundaries
+        rock : what is known of rock and fluid
+        values : SI, every name of the model’s parameters
+        """
         found = unit_response(model, rock, values, self.grid)
         if self.exact:
             return found[np.searchsorted(self.grid, self.lags)]
@@ -189,7 +198,14 @@ class Superposed:
         self._response = Response(age[self._row, which])
 
     def pressure(self, model: Model, rock: Rock, values: Values) -> np.ndarray:
-        """Pa, at each time."""
+        """Pa, at each time.
+
+        Parameters
+        ----------
+        model : well, reservoir and boundaries
+        rock : what is known of rock and fluid
+        values : SI, every name of the model’s parameters
+        """
         fall = self._response.at(model, rock, values) * self._step
         total = np.bincount(self._row, fall, minlength=len(self.times))
         return values["initial_pressure"] + values["drift"] * self.times - total

@@ -73,7 +73,16 @@ def roles_of(study: Study) -> Roles | None:
 def speed_against_error(
     dataset: xr.Dataset, study: Study, roles: Roles, scene_of: SceneOf, maps_of: MapsOf
 ) -> SpeedError:
-    """Gather time errors and model errors of every scene, size and setting of a solver."""
+    """Gather time errors and model errors of every scene, size and setting of a solver.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    study : the study, read and checked
+    roles : which axes are sizes, settings and methods
+    scene_of : the scene of the case at an index
+    maps_of : the maps of the case at an index
+    """
     values = next(axis for axis in study.axes if axis.name == roles.solver)
     settings = [dict(zip(values.parameters, point, strict=True)) for point in values.values]
     scenes = _words(dataset, roles.scene, study.title)

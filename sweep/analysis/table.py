@@ -27,6 +27,13 @@ class Table(NamedTuple):
 
 
 def table(title: str, columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """A `Table` with plain Python values (NumPy numbers become Python's)."""
+    """A `Table` with plain Python values (NumPy numbers become Python's).
+
+    Parameters
+    ----------
+    title : what it shows
+    columns : heads of the columns
+    rows : one sequence of cells a row
+    """
     plain = tuple(tuple(v.item() if hasattr(v, "item") else v for v in row) for row in rows)
     return Table(title, tuple(columns), plain)

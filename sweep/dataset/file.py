@@ -169,7 +169,14 @@ def below_zero(path: Path) -> tuple[str, ...]:
 
 
 def difference(path: Path, study: Study, plan: Plan) -> str | None:
-    """Why the dataset at `path` is not that of the cases of a study, None where it is."""
+    """Why the dataset at `path` is not that of the cases of a study, None where it is.
+
+    Parameters
+    ----------
+    path : of the dataset
+    study : the study, read and checked
+    plan : all distinct stage runs of the study
+    """
     with netCDF4.Dataset(path) as file:
         known = {name: str(file.getncattr(name)) for name in file.ncattrs()}
         if known.get("study_smoke") != ("yes" if study.smoke else "no"):

@@ -77,7 +77,14 @@ def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
 
 
 def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Dataset:
-    """Do what `open_case` does, with any table of stages."""
+    """Do what `open_case` does, with any table of stages.
+
+    Parameters
+    ----------
+    folder : of the study’s results
+    at : value on each axis
+    table : the table of stages, as `module:name`
+    """
     study = _study(folder)
     try:
         store = Store.open(folder.resolve().parent / "store", create=False)

@@ -40,7 +40,14 @@ class Ragged:
         self.taken: dict[str, dict[int, np.ndarray]] = {}  # variable -> case -> its values
 
     def add(self, case: int, name: str, values: np.ndarray) -> None:
-        """Take the values (count,) of one case; cases come in their order."""
+        """Take the values (count,) of one case; cases come in their order.
+
+        Parameters
+        ----------
+        case : number of the case
+        name : of the variable
+        values : (count,)
+        """
         self.taken.setdefault(name, {})[case] = np.asarray(values, dtype=float)
 
     def flush(self, tile: Tile) -> None:

@@ -26,6 +26,13 @@ def verdict(plan: Plan, store: Store, stored: np.ndarray, case: int) -> Verdict:
 
     One that marches may have stopped early, as what was observed of it tells. `stored` tells
     which runs of the plan have their product, (runs,) bool.
+
+    Parameters
+    ----------
+    plan : all distinct stage runs of the study
+    store : products by their identities
+    stored : which runs of the plan have their product, (runs,) bool
+    case : number of the case
     """
     if case in plan.left_out:
         return Verdict(Status.LEFT_OUT, "left out by `where`")

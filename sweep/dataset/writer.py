@@ -81,7 +81,14 @@ class Writer:
             _place(target, np.asarray(array, dtype=float), where)
 
     def end_case(self, case: int, ended: Verdict, spent: Mapping[str, np.ndarray]) -> None:
-        """Take how a case ended, and the times that it took."""
+        """Take how a case ended, and the times that it took.
+
+        Parameters
+        ----------
+        case : number of the case
+        ended : how it ended
+        spent : times that it took, s, by name
+        """
         k = case - self.tile.cases.start
         if ended.status is Status.DONE and (beyond := self._beyond(case)):
             ended = Verdict(Status.INACCURATE, "; ".join(beyond))
@@ -120,7 +127,14 @@ class Writer:
         self.ragged.flush(self.tile)
 
     def describe(self, plan: Plan, digest: str, origins: Mapping[str, set[str]]) -> None:
-        """Write what the dataset is, where it comes from, and what made it."""
+        """Write what the dataset is, where it comes from, and what made it.
+
+        Parameters
+        ----------
+        plan : all distinct stage runs of the study
+        digest : of the study’s text
+        origins : versions and machines that made it
+        """
         study = self.study
         now = datetime.now(UTC).isoformat(timespec="seconds")
         made_by = {name: ", ".join(sorted(met)) for name, met in sorted(origins.items())}

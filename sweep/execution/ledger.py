@@ -79,7 +79,14 @@ class Ledger:
             self._fail(outcome.run)
 
     def lost(self, run: int, identity: str, message: str) -> None:
-        """The product of a run's parent turned out missing or damaged."""
+        """The product of a run's parent turned out missing or damaged.
+
+        Parameters
+        ----------
+        run : number of the run in the plan
+        identity : of the product
+        message : what is wrong with it
+        """
         parents = [p for p in self.plan.runs[run].parents if p >= 0]
         parent = next(p for p in parents if self.plan.runs[p].id == identity)
         if self.schedule.is_done(parent):

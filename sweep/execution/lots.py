@@ -52,7 +52,14 @@ class Lots:
         self._sendings = 0
 
     def make(self, runs: tuple[int, ...], memory: float | None, afresh: bool) -> Lot:
-        """The lot of some runs; `Lot` says what the others are."""
+        """The lot of some runs; `Lot` says what the others are.
+
+        Parameters
+        ----------
+        runs : of the plan
+        memory : limit of one case, bytes, or None
+        afresh : whether the worker forgets what it holds
+        """
         store = str(self.store.root.resolve()) if self.pool.shares_store else None
         tasks = tuple(map(self._task, runs))
         return Lot(store, self.table, tasks, memory, LONGEST_SECONDS, afresh)

@@ -148,6 +148,15 @@ class Schedule:
         """A run has stored its product; what it took in s and bytes, where that is known.
 
         What it took elsewhere than `here` counts for this run of the study alone.
+
+        Parameters
+        ----------
+        run : number of the run in the plan
+        seconds : s that it took
+        stored : bytes of its product
+        memory : bytes that the process had at most
+        compiled : whether kernels were compiled in it
+        here : whether in this very run of the study
         """
         self.state[run] = State.DONE
         if seconds is not None:

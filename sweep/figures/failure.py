@@ -37,6 +37,13 @@ def draw_failure(
 
     Axial strain grows to the right, lateral strain to the left, as in the laboratory. None
     where nothing was tested.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    maps_of : the maps of the case at an index
+    path : where the figure is written
+    ensembles : axes whose order means nothing, as seeds
     """
     cases = _cases(dataset, ensembles)
     if not cases:

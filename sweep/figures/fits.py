@@ -43,6 +43,8 @@ def draw_fit(
 
     Parameters
     ----------
+    title : over the figure
+    path : where it is written
     time, pressure, fitted : (n,) s and Pa, measured and by the model.
     rates : (s, m³/s) in order.
     """

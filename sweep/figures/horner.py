@@ -31,6 +31,13 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
 
     The first two axes that vary are told apart by colour and line style; others stay at their
     first value.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    well : name of the well
+    well_of : the well of the case at an index
+    path : where the figure is written
     """
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     colour, style = ([*varied, None, None])[:2]

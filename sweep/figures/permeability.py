@@ -34,6 +34,12 @@ def draw_permeability(
     axis of `ensembles` (seeds of packings), whose order means nothing, no lines are drawn.
     None where no case has a permeability; without an axis that matters, one panel shows the
     values.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    path : where the figure is written
+    ensembles : axes whose order means nothing, as seeds
     """
     tensor = dataset["permeability"]
     if not np.any(np.isfinite(tensor.values)):

@@ -18,6 +18,12 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
     """Each measured quantity against the first axis that is no ensemble, a mark for each case.
 
     The line is the mean over all other axes. None where nothing was measured.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    path : where the figure is written
+    ensembles : axes whose order means nothing, as seeds
     """
     shown = [name for name in MEASURED_BY_A_TEST if name in dataset]
     shown = [name for name in shown if np.any(np.isfinite(dataset[name].values))]

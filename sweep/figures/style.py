@@ -76,7 +76,14 @@ def new_figure(width: float, height: float) -> Figure:
 
 
 def save(figure: Figure, path: Path, caption: str) -> Path:
-    """Write a PNG that carries its caption as its description. Same figure, same bytes."""
+    """Write a PNG that carries its caption as its description. Same figure, same bytes.
+
+    Parameters
+    ----------
+    figure : the figure
+    path : where the figure is written
+    caption : words under it
+    """
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_text(printable_lines(text.get_text()))

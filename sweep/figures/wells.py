@@ -68,6 +68,13 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     Up to four axes are told apart by colour, line style, column and row of panels; of long
     axes a few values are drawn, and the caption says which. Flow periods after the first
     are thinner lines over the time since their own rate change.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    well : name of the well
+    well_of : the well of the case at an index
+    path : where the figure is written
     """
     roles = _roles(dataset)
     columns, rows = roles.shown[2], roles.shown[3]

@@ -24,7 +24,15 @@ def escape(text: object) -> str:
 def grid(
     columns: Sequence[str], rows: Iterable[Sequence[object]], caption: str = "", digits: int = 4
 ) -> str:
-    """A table; numbers stand to the right, with so many digits."""
+    """A table; numbers stand to the right, with so many digits.
+
+    Parameters
+    ----------
+    columns : heads of the columns
+    rows : one sequence of cells a row
+    caption : words under it
+    digits : significant digits
+    """
     head = "".join(f"<th scope='col'>{escape(name)}</th>" for name in columns)
     body = "".join(f"<tr>{''.join(_cell(value, digits) for value in row)}</tr>\n" for row in rows)
     title = f"<caption>{escape(caption)}</caption>" if caption else ""

@@ -46,7 +46,16 @@ class Spent(NamedTuple):
     def and_one(
         self, kind: CostClass, seconds: float, stored: int, memory: int, compiled: bool
     ) -> Spent:
-        """With one more run."""
+        """With one more run.
+
+        Parameters
+        ----------
+        kind : class of runs that cost alike
+        seconds : s that it took
+        stored : bytes of its product
+        memory : bytes that its process had at most
+        compiled : whether kernels were compiled in it
+        """
         return Spent(
             self.runs + 1,
             self.seconds + seconds,
@@ -142,7 +151,16 @@ class Costs:
     def add(
         self, kind: CostClass, seconds: float, stored: int, memory: int = 0, compiled: bool = False
     ) -> None:
-        """Count one more run; whether its worker had compiled kernels before."""
+        """Count one more run; whether its worker had compiled kernels before.
+
+        Parameters
+        ----------
+        kind : class of runs that cost alike
+        seconds : s that it took
+        stored : bytes of its product
+        memory : bytes that its process had at most
+        compiled : whether kernels were compiled in it
+        """
         sizes = self.known.setdefault(kind.key, {})
         sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(
             kind, seconds, stored, memory, compiled

@@ -25,7 +25,14 @@ from demflow.sweep.study.scenes import SceneBuilder
 
 
 def note(store: Store, study: Study, plan: Plan) -> None:
-    """Keep what the stages that work in this store now make of a study. Raises OSError."""
+    """Keep what the stages that work in this store now make of a study. Raises OSError.
+
+    Parameters
+    ----------
+    store : products by their identities
+    study : the study, read and checked
+    plan : all distinct stage runs of the study
+    """
     record = {
         "demflow": installed("demflow"),
         "stages": {stage.name: stage.version for stage in plan.stages},

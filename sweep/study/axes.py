@@ -145,6 +145,13 @@ def read_axes(
 
     `values` are those of the scene. Of a value that could not be read a stand-in is kept, so
     that checks across blocks can go on.
+
+    Parameters
+    ----------
+    drafts : axes of which only the paths have been read
+    values : values of the scene by their paths, SI
+    reading : takes the problems that are met
+    ends_only : of evenly spaced values the first and the last alone
     """
     axes = []
     for draft in drafts:
@@ -230,7 +237,16 @@ def _path_nodes(name: str, place: Place, node: Mapping, reading: Reading) -> lis
 def find(
     draft: Draft, path: str, place: Place, values: dict[str, Any], reading: Reading
 ) -> Parameter | None:
-    """The parameter at a path, or None after reporting why there is none."""
+    """The parameter at a path, or None after reporting why there is none.
+
+    Parameters
+    ----------
+    draft : the axis that varies it
+    path : of the parameter
+    place : where in the file
+    values : values of the scene by their paths, SI
+    reading : takes the problems that are met
+    """
     name = draft.name
     parts = tuple(path.split("."))
     try:

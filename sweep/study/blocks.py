@@ -488,7 +488,14 @@ def _alternatives(hint: Any) -> tuple[Any, ...]:
 def blocks_of(
     kinds: tuple[Any, ...], words: KindWords, within: Specials | None = None
 ) -> Block | OneOf:
-    """The grammar of a dataclass, or of a block that is one of several, by its tag."""
+    """The grammar of a dataclass, or of a block that is one of several, by its tag.
+
+    Parameters
+    ----------
+    kinds : the dataclasses
+    words : what values may be words
+    within : sections of members that are not read by their type
+    """
     within = within or {}
     blocks = [block_of(kind, within.get(kind), words, within) for kind in kinds]
     if len(kinds) == 1:

@@ -66,6 +66,12 @@ def ends_as_expected(expected: Expectation, status: Status, message: str) -> boo
     """Whether a case ended in the way that was stated; its numbers are not looked at.
 
     Of what is no case of the study nothing is expected.
+
+    Parameters
+    ----------
+    expected : as the study states
+    status : how it ended
+    message : its words
     """
     if status is Status.LEFT_OUT:
         return True

@@ -74,7 +74,15 @@ def asks_for_models(node: Node | None) -> bool:
 def read_fit(
     node: Node | None, tests: Values[str, MeasuredTest], scene: Any, reading: Reading
 ) -> FitRequest | None:
-    """The block `fit:`, or None; `scene` holds the values of the scene, None without one."""
+    """The block `fit:`, or None; `scene` holds the values of the scene, None without one.
+
+    Parameters
+    ----------
+    node : what stands there in the file
+    tests : measured tests by name
+    scene : values of the scene, None without one
+    reading : takes the problems that are met
+    """
     if node is None or (isinstance(node, Scalar) and node.empty):
         return None
     before = len(reading.problems)

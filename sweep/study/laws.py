@@ -121,7 +121,15 @@ class Law:
 
 
 def read_law(node: Node, target: Parameter, path: str, reading: Reading) -> Law | None:
-    """The law of a parameter, None after reporting what is wrong with it."""
+    """The law of a parameter, None after reporting what is wrong with it.
+
+    Parameters
+    ----------
+    node : what stands there in the file
+    target : the parameter that is drawn
+    path : of it
+    reading : takes the problems that are met
+    """
     before = len(reading.problems)
     law = _read(node, target, path, reading)
     return law if len(reading.problems) == before else None

@@ -124,7 +124,14 @@ def read_data(node: Node | None, reading: Reading) -> dict[str, MeasuredTest]:
 
 
 def measured(name: str, given: Data, reading: Reading) -> MeasuredTest:
-    """A measured test from its files. Raises TableError; its `key` says of which part."""
+    """A measured test from its files. Raises TableError; its `key` says of which part.
+
+    Parameters
+    ----------
+    name : of the test
+    given : its files and columns
+    reading : takes the problems that are met
+    """
     table = _opened(given.file, reading)
     at = times(table, column(table, given.time, TIME_NAMES, "time"), given.date_format)
     pressure = numbers(table, column(table, given.pressure, PRESSURE_NAMES, "pressure"), "Pa")

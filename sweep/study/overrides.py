@@ -22,6 +22,12 @@ def overlaid(
     """The tree with the overrides, the places that they come from, and their problems.
 
     `what` names the overrides in messages.
+
+    Parameters
+    ----------
+    root : the study’s tree
+    smoke : overrides by paths
+    what : what it is, for messages
     """
     if not isinstance(smoke, Mapping):
         message = f"{what} is a mapping of paths to values, as in {{grains.count: 300}}"

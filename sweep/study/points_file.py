@@ -40,6 +40,7 @@ def read_points(
 
     Parameters
     ----------
+    reading : takes the problems that are met
     name, node : the axis and what it says: `file`, and `columns` where these have other names.
     paths, parameters : what its columns are.
     """

@@ -41,7 +41,14 @@ def is_drawn(draft: Draft) -> bool:
 
 
 def read_sample(node: Node | None, drawn: list[Draft], reading: Reading) -> Sample | None:
-    """What `sample:` says, None where there is none or after reporting what is wrong."""
+    """What `sample:` says, None where there is none or after reporting what is wrong.
+
+    Parameters
+    ----------
+    node : what stands there in the file
+    drawn : axes that have a law
+    reading : takes the problems that are met
+    """
     if node is None or (isinstance(node, Scalar) and node.empty):
         for draft in drawn[:1]:
             message = f"axis '{draft.name}' has a distribution; say how it is sampled, as in "
@@ -69,7 +76,15 @@ def cases_of(sample: Sample, drawn: list[Draft]) -> int:
 def sampled_axis(
     sample: Sample, drawn: list[Draft], values: dict[str, Any], reading: Reading
 ) -> Located | None:
-    """The dimension `sample`, None after reporting what is wrong with what it samples."""
+    """The dimension `sample`, None after reporting what is wrong with what it samples.
+
+    Parameters
+    ----------
+    sample : how points are drawn, and how many
+    drawn : axes that have a law
+    values : values of the scene by their paths, SI
+    reading : takes the problems that are met
+    """
     found: list[tuple[Parameter, Law]] = []
     for draft in drawn:
         target = find(draft, draft.paths[0], draft.path_places[0], values, reading)

@@ -329,7 +329,15 @@ def _read_once(files: tuple[tuple[str, bytes], ...], rings: bool) -> MapFile:
 
 
 def spaced(first: float, last: float, count: int, *, log: bool) -> tuple[float, ...]:
-    """Numbers from first to last, rounded so that 1e-5 is met where it is meant."""
+    """Numbers from first to last, rounded so that 1e-5 is met where it is meant.
+
+    Parameters
+    ----------
+    first : the first
+    last : the last
+    count : how many
+    log : whether evenly by their logarithm
+    """
     if count == 1:
         return (first,)
     steps = [k / (count - 1) for k in range(1, count - 1)]

@@ -51,6 +51,12 @@ class SceneBuilder:
 
         Fractures that are wrong by themselves, or that have a path among the unreadable ones, are
         not looked at across blocks: nobody could draw them.
+
+        Parameters
+        ----------
+        index : position on every axis
+        whole : whether blocks are checked with each other too
+        unreadable : paths of values that could not be read
         """
         problems: list[tuple[str, str]] = []
         parts = self._build(index, problems)

@@ -71,6 +71,12 @@ class Reading:
         """Note a problem; `path` is the parameter that cannot be used because of it.
 
         Raises TooManyProblems where going on would serve nobody.
+
+        Parameters
+        ----------
+        place : where in the file
+        message : words for whoever wrote the study
+        path : parameter that cannot be used because of it
         """
         if len(self.problems) >= MOST_NOTED:
             raise TooManyProblems
@@ -260,7 +266,14 @@ def where(path: str) -> str:
 
 
 def hinted(name: str, valid: Iterable[str], reading: Reading) -> str:
-    """What may have been meant by a name that is not known, as the end of a message."""
+    """What may have been meant by a name that is not known, as the end of a message.
+
+    Parameters
+    ----------
+    name : that is not known
+    valid : names that there are
+    reading : takes the problems that are met
+    """
     like = reading.nearest(name, valid)
     return f"; did you mean '{like}'?" if like else ""
 
@@ -268,7 +281,17 @@ def hinted(name: str, valid: Iterable[str], reading: Reading) -> str:
 def report_unknown(
     key: str, place: Place, valid: tuple[str, ...], path: str, reading: Reading, at: str = ""
 ) -> str | None:
-    """Report a key that does not exist, with the nearest that does, which is returned."""
+    """Report a key that does not exist, with the nearest that does, which is returned.
+
+    Parameters
+    ----------
+    key : the key
+    place : where in the file
+    valid : names that there are
+    path : of the block
+    reading : takes the problems that are met
+    at : where in the block, for messages
+    """
     like = reading.nearest(key, valid)
     hint = f"did you mean '{like}'?" if like else f"valid are {', '.join(valid)}"
     if like is None and re.match(r"\d", key):  # {radius: 0,1 m} is two keys

@@ -252,6 +252,7 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
 
     Parameters
     ----------
+    table : of a file
     wanted : as the study has it, `p [psi]` or `p`; None for whichever bears a likely name.
     likely : beginnings of names, in small letters, the likeliest first.
     what : what is looked for, for messages.
@@ -292,7 +293,14 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
 
 
 def factor(unit: str, si: str, name: str) -> float:
-    """Factor of a column's unit to SI. Raises TableError."""
+    """Factor of a column's unit to SI. Raises TableError.
+
+    Parameters
+    ----------
+    unit : of the column
+    si : unit that is wanted
+    name : of the column
+    """
     if not unit:
         raise TableError(
             f"column '{name}' has no unit; write it in the head or in the study, for instance "
@@ -312,7 +320,14 @@ _EXAMPLES = {"s": "h", "Pa": "psi", "m3/s": "bbl/d"}
 
 
 def numbers(table: Table, one: Column, si: str) -> np.ndarray:
-    """A column in SI, NaN where its file has nothing. Raises TableError with the lines."""
+    """A column in SI, NaN where its file has nothing. Raises TableError with the lines.
+
+    Parameters
+    ----------
+    table : of a file
+    one : the column
+    si : unit that is wanted
+    """
     scale = factor(one.unit, si, one.name)
     if isinstance(one.cells, np.ndarray):
         return np.asarray(one.cells, dtype=float) * scale
@@ -339,6 +354,12 @@ def times(table: Table, one: Column, form: str | None) -> Readings:
     """A column of times, s: elapsed, or dates as ISO 8601 writes them or by `form`.
 
     Dates without a zone are taken as they are, those with one as UTC. Raises TableError.
+
+    Parameters
+    ----------
+    table : of a file
+    one : the column
+    form : of dates, as `strptime` reads them, or None
     """
     cells = one.cells
     texts = isinstance(cells, list)

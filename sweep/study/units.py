@@ -374,7 +374,14 @@ def to_degrees(angle: float) -> float:
 
 
 def format_quantity(value: float, unit: str, digits: int = 6) -> str:
-    """A value in SI as people write it: `1.1345` rad is `65 deg`, `5e6` Pa is `5 MPa`."""
+    """A value in SI as people write it: `1.1345` rad is `65 deg`, `5e6` Pa is `5 MPa`.
+
+    Parameters
+    ----------
+    value : in SI
+    unit : SI unit
+    digits : significant digits
+    """
     if unit == "1":
         return f"{value:.{digits}g}"
     if not math.isfinite(value):

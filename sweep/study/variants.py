@@ -86,7 +86,15 @@ def read_variants(root: Mapping, reading: Reading) -> VariantAxis | None:
 def found_everywhere(
     drafts: list[Draft], axis: VariantAxis, values: list[dict[str, Any]], reading: Reading
 ) -> bool:
-    """Whether every variant has what the other axes vary; reports what is missing."""
+    """Whether every variant has what the other axes vary; reports what is missing.
+
+    Parameters
+    ----------
+    drafts : axes of which only the paths have been read
+    axis : of the variants
+    values : of the scene, one for each variant
+    reading : takes the problems that are met
+    """
     before = len(reading.problems)
     for draft in drafts:
         for path, place in zip(draft.paths, draft.path_places, strict=True):

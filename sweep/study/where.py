@@ -48,6 +48,12 @@ def kept_cases(node: Node | None, axes: list[Axis], reading: Reading) -> np.ndar
     """Which cases there are, bool of the shape of the axes; None where all are.
 
     Reports conditions that cannot be read, and those that leave nothing.
+
+    Parameters
+    ----------
+    node : what stands there in the file
+    axes : of the study
+    reading : takes the problems that are met
     """
     if node is None or (isinstance(node, Scalar) and node.empty):
         return None

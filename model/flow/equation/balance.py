@@ -61,7 +61,14 @@ class SteadyFlow(NamedTuple):
 
 
 def steady_flow(system: System, factor: Factor, source: int) -> SteadyFlow:
-    """Solve G p = f for a unit of one source, `factor` being that of G."""
+    """Solve G p = f for a unit of one source, `factor` being that of G.
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    factor : that of G
+    source : number of the source that is one
+    """
     of_rate = source >= system.fixed_count
     held = (system.fixed_source == source).astype(float)
     well = system.source(source) if of_rate else np.zeros(system.n)
@@ -134,6 +141,15 @@ def transient_misfit(
     of change is p + δ, (G + s C) δ what p leaves in each pore; the larger of max |δ| / max |p|
     and what p + δ, kept in two parts, leaves in all pores over the flow through them: that is
     s C δ where the factor is good, and everything where it is not.
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    factor : that of G + s C
+    shift : s, 1/s
+    source : number of the source: fixed pressures and wells
+    pressure : (n,) Pa at the time
+    rate : (n,) Pa/s, its change then
     """
     of_rate = source >= system.fixed_count
     held = (system.fixed_source == source).astype(float)

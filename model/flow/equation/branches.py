@@ -26,6 +26,13 @@ def branches(
     """Connections (k,) along traces between places and wells, conductances in m³/(s Pa).
 
     A branch that passes a wellbore ends at its wall from either side.
+
+    Parameters
+    ----------
+    apertures : how far they are open, and traces with nodes of their own
+    wells : the wells
+    first_node : terminal of the first node of the traces
+    first_well : terminal of the first well
     """
     a, b = first_node + apertures.branch_a, first_node + apertures.branch_b
     g = apertures.branch_conductance

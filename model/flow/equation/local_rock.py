@@ -21,7 +21,14 @@ RIM_PORES = 1.5
 
 
 def spacing_around(network: Network, at: tuple[float, float], radius: float) -> float:
-    """Root of the mean area of the pores at a well's wall and the nearest ones beyond it, m."""
+    """Root of the mean area of the pores at a well's wall and the nearest ones beyond it, m.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    at : centre of the well, m
+    radius : of the well, m
+    """
     distance = np.hypot(network.x - at[0], network.y - at[1])
     distance = np.where(network.inside, np.abs(distance - radius), np.inf)
     near = np.argsort(distance, kind="stable")[:NEAREST]
@@ -36,6 +43,14 @@ def mobility_around(
     By the dissipation Σ g Δp_a Δp_b over the area of the pores up to twenty pores from the
     well's wall, where p = −x and p = −y are imposed a few pores further out and on the rim. Pipes
     along fractures are left out; zero where nothing else conducts.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    region : where the case lies, m
+    at : centre of the well, m
+    radius : of the well, m
     """
     spacing = spacing_around(network, at, radius)
     distance = np.hypot(network.x - at[0], network.y - at[1])

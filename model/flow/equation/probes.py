@@ -55,6 +55,14 @@ def between_pores(
     within two pipes of it surround the point; else, as beside a sealed side, at the place nearest
     to it that they surround. Parts are positive, so that no pressure is exceeded, and nearest
     pores have most. Pores behind a barrier do not count. Inside a well it is the well's pressure.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    region : where the case lies, m
+    system : the flow equation C dp/dt = −G p + f
+    points : (n, 2) m
     """
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     own = domains_at(network, points)

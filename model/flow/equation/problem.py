@@ -134,6 +134,12 @@ def flow_noise(problem: Problem, source: int, output: np.ndarray) -> float:
     It is a difference of pressures times conductances. A strong pipe to a fixed pressure carries
     little where the rock behind it is tight: the pressures at its ends then agree in all digits
     that a double has.
+
+    Parameters
+    ----------
+    problem : what is solved
+    source : number of the source: fixed pressures and wells
+    output : outputs (l, o) for its unit
     """
     later = problem.lag > 0.0
     if not problem.flows_count or source >= problem.system.fixed_count or not later.any():
@@ -159,7 +165,14 @@ def empty_answer(problem: Problem) -> Answer:
 
 
 def fill_map(problem: Problem, source: int, fields: np.ndarray) -> np.ndarray:
-    """Pressure of the mapped domains (l, m) from the unknowns (l, n), for a unit source."""
+    """Pressure of the mapped domains (l, m) from the unknowns (l, n), for a unit source.
+
+    Parameters
+    ----------
+    problem : what is solved
+    source : number of the source: fixed pressures and wells
+    fields : pressures of the unknowns (l, n), Pa
+    """
     node, fixed = map_rows(problem.system, problem.domain)
     result = np.zeros((len(fields), len(problem.domain)))
     known = node >= 0
@@ -169,7 +182,15 @@ def fill_map(problem: Problem, source: int, fields: np.ndarray) -> np.ndarray:
 
 
 def relative_residual(system: System, rhs: np.ndarray, rate: np.ndarray, p: np.ndarray) -> float:
-    """Size of C dp/dt + G p − f over that of the flows that meet in each unknown, at one time."""
+    """Size of C dp/dt + G p − f over that of the flows that meet in each unknown, at one time.
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    rhs : f (n,), m³/s
+    rate : dp/dt (n,), Pa/s
+    p : pressure (n,), Pa
+    """
     flow = system.edge_g * (p[system.edge_i] - p[system.edge_j])
     net = system.storage * rate - rhs
     net = net + np.bincount(system.edge_i, weights=flow, minlength=system.n)

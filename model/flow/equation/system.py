@@ -130,6 +130,15 @@ def assemble(
 
     Raises `ModelError` where a conductance or a volume is no number, or negative, or where
     nothing stores fluid.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    region : where the case lies, m
+    bulk_modulus : of the fluid, Pa
+    wells : the wells
+    sides : names of the sides at fixed pressure; `outer` takes all of them
     """
     _check_numbers(network, apertures)
     pressure_wells = tuple(k for k, w in enumerate(wells) if w.fixed_pressure)

@@ -69,6 +69,15 @@ def well_field(
     `fixed` (sides,) tells which sides of the region keep a pressure; those within `reach` (m) of
     the well have images, and two of them at a right angle one in the corner. A circular rim has
     the image at R²/ρ.
+
+    Parameters
+    ----------
+    at : centre of the well, m
+    radius : of the well, m
+    mobility : k/μ of the rock, (2, 2) m²/(Pa s)
+    region : where the case lies, m
+    fixed : (sides,) bool, which sides keep a pressure
+    reach : distance within which sides have images, m
     """
     values, vectors = np.linalg.eigh(mobility)
     mean = np.sqrt(np.prod(values))

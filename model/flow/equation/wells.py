@@ -110,7 +110,14 @@ def pores_of_wells(network: Network, wells: tuple[WellSite, ...]) -> list[np.nda
 
 
 def join_wells(edges: Edges, network: Network, wells: Wells) -> Edges:
-    """Edges between terminals with the wells in place of the pores that they take."""
+    """Edges between terminals with the wells in place of the pores that they take.
+
+    Parameters
+    ----------
+    edges : connections between terminals, before
+    network : pores and pipes of the matrix
+    wells : the wells
+    """
     if not wells.sites:
         return edges
     d = len(network.x)
@@ -427,6 +434,14 @@ def with_skin(
     What takes fluid is then the wall, whose pressure is eliminated: with Σ the sum of the
     conductances g_j that meet there and of the skin's, g_i g_j / Σ joins each two neighbours
     and g_j g_skin / Σ each of them and the well.
+
+    Parameters
+    ----------
+    a : first terminals, (k,)
+    b : second terminals, (k,)
+    g : conductances, (k,) m³/(s Pa)
+    well : terminal of the well
+    skin_conductance : of the skin, m³/(s Pa)
     """
     ours = (a == well) | (b == well)
     neighbour, which = np.unique(np.where(a == well, b, a)[ours], return_inverse=True)

@@ -64,6 +64,12 @@ def analyse(n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:
 
     The last few analyses are kept: fluids, apertures and time steps change the numbers of a
     case, seldom its graph.
+
+    Parameters
+    ----------
+    n : number of nodes
+    i : first ends of the edges, (e,) int
+    j : second ends, (e,) int
     """
     digest = hashlib.blake2b(n.to_bytes(8, "little"))
     for end in (i, j):
@@ -93,7 +99,14 @@ _kept = _Kept()
 
 
 def analyse_anew(n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:
-    """As `analyse`, without a look at what is known already."""
+    """As `analyse`, without a look at what is known already.
+
+    Parameters
+    ----------
+    n : number of nodes
+    i : first ends of the edges, (e,) int
+    j : second ends, (e,) int
+    """
     graph = graph_of(n, i, j)
     order = minimum_degree(graph)
     by_degree = renumbered(graph, order)
@@ -194,7 +207,15 @@ def postorder(parent: Array, weight: Array) -> Array:
 def column_counts(  # noqa: C901 (a kernel)
     start: Array, neighbour: Array, parent: Array, post: Array
 ) -> Array:
-    """Count, for each column, the leaves of the row subtrees that hang on it."""
+    """Count, for each column, the leaves of the row subtrees that hang on it.
+
+    Parameters
+    ----------
+    start : where the neighbours of each node begin, (n + 1,)
+    neighbour : neighbours, by the order of elimination
+    parent : elimination tree, (n,)
+    post : its postorder, (n,)
+    """
     n = parent.size
     first = np.full(n, -1, np.int32)  # descendant that comes first in the postorder
     count = np.zeros(n, np.int64)

@@ -45,6 +45,12 @@ def factorise(symbolic: Symbolic, conductance: np.ndarray, excess: np.ndarray) -
 
     Raises `OutOfMemory` where the factor would not fit, before it is made, and `ModelError`
     where the matrix is singular: nodes without excess that no edge joins to one that has some.
+
+    Parameters
+    ----------
+    symbolic : order and pattern
+    conductance : of the edges, (e,) ≥ 0
+    excess : what each row has beyond its edges, (n,) ≥ 0
     """
     foresee("the factor of the flow equation", symbolic.factor_bytes + symbolic.work_bytes)
     lower, pivot = _numeric(

@@ -17,7 +17,14 @@ class Graph(NamedTuple):
 
 
 def graph_of(n: int, i: np.ndarray, j: np.ndarray) -> Graph:
-    """The graph of n nodes with edges (i, j)."""
+    """The graph of n nodes with edges (i, j).
+
+    Parameters
+    ----------
+    n : number of nodes
+    i : first ends of the edges, (e,) int
+    j : second ends, (e,) int
+    """
     return Graph(*_adjacency(n, i, j))
 
 

@@ -88,6 +88,13 @@ def paper_step(
     N is a domain's number of pipes, R̄ the mean radius of the grains around it and w the mean
     aperture of its pipes, by Eq. 1 from their conductances. Where all have one aperture this
     is C_i / Σ_j g_ij, but for R̄; elsewhere it is no bound.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    bulk_modulus : of the fluid, Pa
+    domains : which pores count, (k,) int
     """
     d = len(network.volume)
     ends = np.concatenate([network.pipe_from, network.pipe_to])

@@ -171,7 +171,14 @@ def implicit(problem: Problem) -> Answer:
 
 
 def initial_state(system: System, wells: Algebraic, rhs: np.ndarray) -> State:
-    """Pores at rest; wells follow the source and the pores at once."""
+    """Pores at rest; wells follow the source and the pores at once.
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    wells : the unknowns without storage
+    rhs : f (n,), m³/s
+    """
     pores = system.pores
     pressure = np.zeros(system.n)
     pressure[pores:] = wells.direct(rhs)
@@ -184,6 +191,14 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
 
     The increments come from differences of stage values, not from f − G p, whose round-off
     a stiff pore would magnify. Every stage is brought back into balance (`_balanced`).
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    factor : that of G + C / (γ h)
+    rhs : f (n,), m³/s
+    state : pressures before
+    size : h, s
     """
     scaled = system.storage / (GAMMA * size)
     drain = system.excess + scaled

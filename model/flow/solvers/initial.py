@@ -35,7 +35,15 @@ class Initial(NamedTuple):
 def with_linear_fields(
     system: System, network: Network, apertures: Apertures, wells: tuple[WellSite, ...]
 ) -> System:
-    """The system with the fields x and y (m), for a pressure gradient of 1 Pa/m along either."""
+    """The system with the fields x and y (m), for a pressure gradient of 1 Pa/m along either.
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    wells : the wells
+    """
     fields = np.empty((2, system.n))
     x, y = np.append(network.x, apertures.node_x), np.append(network.y, apertures.node_y)
     for field, places, axis in zip(fields, (x, y), (0, 1), strict=True):

@@ -112,7 +112,14 @@ def stencil(system: System, wells: Algebraic) -> Stencil:
 
 
 def driven(rows: Stencil, rhs: np.ndarray, system: System) -> Driven:
-    """Pick the pores beside a fixed pressure and, for an initial field, all that it moves."""
+    """Pick the pores beside a fixed pressure and, for an initial field, all that it moves.
+
+    Parameters
+    ----------
+    rows : the pores by their neighbours
+    rhs : f (n,), m³/s
+    system : the flow equation C dp/dt = −G p + f
+    """
     order = rows.order[: system.pores]
     place = np.flatnonzero((system.excess[order] > 0.0) | (rhs[order] != 0.0))
     unknown = order[place]
@@ -174,6 +181,17 @@ def march(
     """Advance p (n,) by `count` steps, with q (n,) as scratch; returns both, p first.
 
     `integral` gathers ∫ p dt of the unknowns of the rim, as Euler sees it.
+
+    Parameters
+    ----------
+    p : pressure (n,), Pa
+    q : scratch (n,)
+    integral : ∫ p dt of the unknowns of the rim, which is added to
+    count : steps
+    dt : time step, s
+    s : weights and neighbours of each pore
+    driven : pores beside a fixed pressure
+    well_source : f of the wells, (w,) m³/s
     """
     chunks = s.start.size - 1
     for done in range(0, count, WAVE):

@@ -63,7 +63,19 @@ def gather(
     stretch_x: float,
     stretch_y: float,
 ) -> None:
-    """What the pairs from `begin` on see of their grains."""
+    """What the pairs from `begin` on see of their grains.
+
+    Parameters
+    ----------
+    w : the block, (ROWS * BLOCK,)
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    begin : first pair
+    count : pairs in the block
+    dt : time step
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
+    """
     x, y, radius = grains.x, grains.y, grains.radius
     vx, vy, spin = grains.vx, grains.vy, grains.spin
     for q in range(count):
@@ -80,7 +92,14 @@ def gather(
 
 @kernel
 def touch(w: Array, count: int, law: Law) -> None:
-    """Forces of contacts with friction."""
+    """Forces of contacts with friction.
+
+    Parameters
+    ----------
+    w : the block, (ROWS * BLOCK,)
+    count : pairs in the block
+    law : law of contact, a named tuple that chooses what is done by its type
+    """
     mu = law.friction
     for q in range(count):
         dx, dy = w[DX + q], w[DY + q]
@@ -115,7 +134,21 @@ def cement(  # noqa: C901 (a kernel)
     step: int,
     ledger: Array | None,
 ) -> None:
-    """Let bonds act beside their contacts, leave joints to `joints`, and count energies."""
+    """Let bonds act beside their contacts, leave joints to `joints`, and count energies.
+
+    Parameters
+    ----------
+    w : the block, (ROWS * BLOCK,)
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    bonds : bonds (b,)
+    begin : first pair
+    count : pairs in the block
+    law : law of contact, a named tuple that chooses what is done by its type
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    step : number of the time step
+    ledger : energies (13,), see `energy`, or None
+    """
     for q in range(count):
         k = begin + q
         b = pairs.bond[k]
@@ -191,7 +224,18 @@ def _stored(force: float, stiffness: float) -> float:
 def resist_rolling(
     w: Array, pairs: Pairs, begin: int, count: int, law: Law, special: bool, ledger: Array | None
 ) -> None:
-    """Add the moments of contacts that resist rolling to those of bonds, where there are any."""
+    """Add the moments of contacts that resist rolling to those of bonds, where there are any.
+
+    Parameters
+    ----------
+    w : the block, (ROWS * BLOCK,)
+    pairs : pairs of grains near each other, (m,)
+    begin : first pair
+    count : pairs in the block
+    law : law of contact, a named tuple that chooses what is done by its type
+    special : whether bonds have moments there already
+    ledger : energies (13,), see `energy`, or None
+    """
     if not rolls(law):
         return
     for q in range(count):
@@ -238,6 +282,15 @@ def hand_back(w: Array, grains: Grains, pairs: Pairs, own: Array, begin: int, co
 
     What a grain gets from pairs under itself is summed on the way and stored in `own` (3, n),
     to be added later: one store a pair, which waits for none before it.
+
+    Parameters
+    ----------
+    w : the block, (ROWS * BLOCK,)
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    own : what grains get from pairs under themselves, (3, n)
+    begin : first pair
+    count : pairs in the block
     """
     fx, fy, torque = grains.fx, grains.fy, grains.torque
     force = 0.0

@@ -64,7 +64,15 @@ def no_bonds() -> BondState:
 
 
 def strengths(mean: float, deviation: float, count: int, random: np.random.Generator) -> Array:
-    """Normally distributed strengths (count,); what would be negative is zero."""
+    """Normally distributed strengths (count,); what would be negative is zero.
+
+    Parameters
+    ----------
+    mean : Pa
+    deviation : standard deviation, Pa
+    count : how many bonds
+    random : source of randomness
+    """
     if deviation == 0.0:
         return np.full(count, float(mean))
     return np.maximum(random.normal(mean, deviation, count), 0.0)
@@ -88,6 +96,18 @@ def install(
     Half-width R̄ = λ min(R_a, R_b), cross-section A = 2 R̄ and I = 2 R̄³ / 3 for unit depth;
     k̄_n = Ē_c / (R_a + R_b) with `modulus` Ē_c and k̄_n / k̄_s the `stiffness_ratio` (ibid.,
     Eqs 12, 13, 22). Strengths (m,) or one for all; a contact bond reads nothing else.
+
+    Parameters
+    ----------
+    kind : contact or parallel
+    tensile_strength, shear_strength : (b,) or one, Pa
+    friction : μ̄ of the cement
+    radius_multiplier : λ
+    modulus : Ē_c, Pa
+    stiffness_ratio : k̄_n / k̄_s
+    radius_a : radii of the first grains, (b,) m
+    radius_b : of the second, (b,) m
+    distance : of their centres, (b,) m
     """
     reach = radius_a + radius_b
     half = np.minimum(radius_a, radius_b) * radius_multiplier
@@ -111,7 +131,16 @@ def install(
 
 @kernel
 def bond_state(bonds: BondState, b: int, fn: float, fs: float, moment: float) -> int:
-    """State of bond b under this force and moment."""
+    """State of bond b under this force and moment.
+
+    Parameters
+    ----------
+    bonds : bonds (b,)
+    b : number of the bond
+    fn : normal force, compression positive
+    fs : shear force
+    moment : bending moment
+    """
     half = bonds.half_width[b]
     if bond_tension(fn, moment, half) > bonds.tensile_strength[b]:
         return BROKEN_IN_TENSION
@@ -128,6 +157,14 @@ def load_parallel_bond(
     """Advance parallel bond b by a tangential step and a relative rotation of its ends.
 
     Returns its normal force, shear force and moment, all zero if it breaks.
+
+    Parameters
+    ----------
+    bonds : bonds (b,)
+    b : number of the bond
+    distance : of the centres
+    us : tangential step of b past a
+    rotation : of b relative to a in the step
     """
     fn = bonds.kn[b] * (bonds.length[b] - distance)
     fs = bonds.shear[b] - bonds.ks[b] * us
@@ -145,7 +182,17 @@ def load_parallel_bond(
 def note_crack(
     cracks: Cracks, b: int, mode: int, step: int, x: float, y: float, box: Array
 ) -> None:
-    """Note that b broke now at (x, y)."""
+    """Note that b broke now at (x, y).
+
+    Parameters
+    ----------
+    cracks : list of cracks, which is added to
+    b : number of the bond
+    mode : 1 in tension, 2 in shear
+    step : number of the time step
+    x, y : place
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    """
     cracks.step[b], cracks.mode[b] = step, mode
     cracks.x[b], cracks.y[b] = x, y
     cracks.width[b], cracks.height[b] = box[1] - box[0], box[3] - box[2]

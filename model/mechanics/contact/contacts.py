@@ -76,6 +76,20 @@ def contact_forces(  # noqa: C901 (a kernel)
     A pair stands under its grain with the smaller index, so that the forces on a grain are
     complete when its row is done: the virial is Σ x F over the grains, less what the walls push.
     `ledger` counts energies where it is given.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    bonds : bonds (b,)
+    joints : contacts (j,) across joints
+    law : law of contact, a named tuple that chooses what is done by its type
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    step : number of the time step
+    dt : time step
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
+    ledger : energies (13,), see `energy`, or None
     """
     x, y, radius = grains.x, grains.y, grains.radius
     fx, fy, torque = grains.fx, grains.fy, grains.torque
@@ -161,7 +175,14 @@ def contact_forces(  # noqa: C901 (a kernel)
 
 @kernel
 def wall_energy(grains: Grains, law: Law, box: Array) -> float:
-    """Elastic energy of the contacts with walls."""
+    """Elastic energy of the contacts with walls.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    law : law of contact, a named tuple that chooses what is done by its type
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    """
     total = 0.0
     for i in range(grains.x.size):
         x, y, r = grains.x[i], grains.y[i], grains.radius[i]

@@ -85,6 +85,16 @@ def half_work(
 
     `forces` on the walls left, right, bottom, top outwards; `arrived` tells whether grains
     stand where the step ends, or where it begins with the velocities that it will have.
+
+    Parameters
+    ----------
+    ledger : energies (13,), see `energy`, or None
+    grains : the grains (n,), in units of mean radius and k_n
+    forces : on the walls left, right, bottom, top outwards
+    dt : time step
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
+    arrived : whether grains stand where the step ends
     """
     for side in range(4):
         inwards = 1.0 if side % 2 == 0 else -1.0

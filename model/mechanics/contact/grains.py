@@ -28,7 +28,14 @@ class Grains(NamedTuple):
 
 
 def at_rest(x: Array, y: Array, radius: Array, mass: Array) -> Grains:
-    """Grains without motion, forces and loads, from arrays (n,), which are copied."""
+    """Grains without motion, forces and loads, from arrays (n,), which are copied.
+
+    Parameters
+    ----------
+    x, y : centres, (n,)
+    radius : radii, (n,)
+    mass : (n,)
+    """
     zeros = np.zeros((9, len(x)))
     return Grains(
         np.array(x, dtype=float),
@@ -49,6 +56,12 @@ def scaled_mass(radius: Array, stiffness: Array | float, step: float) -> Array:
     statics do not feel the mass. A grain of radius r has room for z = π / asin(r_min / (r +
     r_min)) of the smallest grains; Δt = 0.5 √(m/k) holds for six contacts, hence
     m = (2 Δt)² k max(1, z/6).
+
+    Parameters
+    ----------
+    radius : radii, (n,)
+    stiffness : of the stiffest contact, one or (n,)
+    step : time step that is to be stable
     """
     least = radius.min()
     room = np.pi / np.arcsin(least / (radius + least))
@@ -61,5 +74,10 @@ def along_strips(x: Array, y: Array, height: float) -> Array:
     Neighbours in space are then near each other in memory, and none is further away than the
     grains of a strip. A Hilbert curve keeps more of them close but some very far, which is
     slower where the arrays exceed the cache.
+
+    Parameters
+    ----------
+    x, y : centres, (n,)
+    height : of a strip
     """
     return np.lexsort((x, np.floor((y - y.min()) / height)))

@@ -95,6 +95,13 @@ class Joints:
 
         Pairs that touch hand their force (by the `law` of contact, and their shear) to the joint
         as far as it can carry it.
+
+        Parameters
+        ----------
+        grains : the grains (n,), in units of mean radius and k_n
+        pairs : pairs of grains near each other, (m,)
+        law : law of contact, a named tuple that chooses what is done by its type
+        known : joint contacts that there were
         """
         a, b = pairs.one.astype(np.int64), pairs.other.astype(np.int64)
         n = np.int64(len(grains.x))
@@ -222,6 +229,17 @@ def joint_forces(  # noqa: C901 (a kernel)
     The step is that of `contacts.contact_forces`. The contact point lies between the grains;
     its displacement, b's past a's, is taken in the middle of the step and resolved along the
     joint. Both grains feel the force there, so that angular momentum is kept.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    joints : contacts (j,) across joints
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    step : number of the time step
+    dt : time step
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
+    ledger : energies (13,), see `energy`, or None
     """
     contacts, total = 0, 0.0
     for k in range(joints.a.size):

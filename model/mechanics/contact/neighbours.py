@@ -65,6 +65,12 @@ def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
 
     Pairs are ordered by i, then by j. Raises ModelError where a grain's position is no finite
     number.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    skin : distance of surfaces up to which grains are paired
+    old : the list before
     """
     x, y, radius = grains.x, grains.y, grains.radius
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
@@ -101,6 +107,15 @@ def sort_into_cells(
     """Counting sort of the grains into nx × ny square cells of side `size`.
 
     Returns the first member of each cell, int64 (nx ny + 1,), and the members, (n,).
+
+    Parameters
+    ----------
+    x, y : centres, (n,)
+    low_x : left end of the cells
+    low_y : lower end of the cells
+    size : side of a cell
+    nx : cells along x
+    ny : cells along y
     """
     first = np.zeros(nx * ny + 1, np.int64)
     cell = np.empty(x.size, np.int64)
@@ -131,7 +146,22 @@ def fill_pairs(
     members: Array,
     old: Pairs,
 ) -> int:
-    """Fill the new list; returns the number of pairs, which may exceed the room for them."""
+    """Fill the new list; returns the number of pairs, which may exceed the room for them.
+
+    Parameters
+    ----------
+    new : the list that is filled
+    radius : radii, (n,)
+    skin : distance of surfaces up to which grains are paired
+    low_x : left end of the cells
+    low_y : lower end of the cells
+    size : side of a cell
+    nx : cells along x
+    ny : cells along y
+    first : first member of each cell, (nx ny + 1,)
+    members : grains by their cells, (n,)
+    old : the list before
+    """
     x, y = new.x, new.y
     room = new.other.size
     count = 0
@@ -170,7 +200,15 @@ def fill_pairs(
 
 @kernel
 def largest_displacement(grains: Grains, pairs: Pairs, stretch_x: float, stretch_y: float) -> float:
-    """Largest displacement since the list was made, apart from the affine stretch about 0."""
+    """Largest displacement since the list was made, apart from the affine stretch about 0.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    stretch_x : affine strain along x since the list was made
+    stretch_y : the same along y
+    """
     largest = 0.0
     for i in range(grains.x.size):
         dx = grains.x[i] - stretch_x * pairs.x[i]

@@ -67,6 +67,7 @@ def dig(specimen: Specimen, packing: Packing, ground: Ground) -> tuple[Specimen,
 
     Parameters
     ----------
+    packing : the packed grains as they came
     specimen : of all grains of the packing, in the units of `rock.build_specimen`; it is spoilt.
     ground : over k_n.
     """

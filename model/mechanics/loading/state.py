@@ -35,7 +35,15 @@ class Rest(NamedTuple):
 def state_of(
     specimen: Specimen, packing: Packing, normal_stiffness: float, found: Found | None = None
 ) -> StressState:
-    """The state of a specimen, by the static solver where that `found` it."""
+    """The state of a specimen, by the static solver where that `found` it.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    packing : grains at rest under the packing pressure
+    normal_stiffness : k_n of contacts, N/m per metre of depth
+    found : what the static solver found
+    """
     rest = Rest(
         specimen.grains,
         specimen.box,
@@ -54,7 +62,15 @@ def state_of(
 def held_state(
     trial: StickingTrial, found: Found, packing: Packing, normal_stiffness: float
 ) -> StressState:
-    """The state in which all cemented contacts hold."""
+    """The state in which all cemented contacts hold.
+
+    Parameters
+    ----------
+    trial : displaced grains whose cemented contacts hold
+    found : what the static solver found
+    packing : grains at rest under the packing pressure
+    normal_stiffness : k_n of contacts, N/m per metre of depth
+    """
     units, count = trial.units, len(trial.normal)
     contacts = Carried(
         units.contact_a,

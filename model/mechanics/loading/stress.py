@@ -79,6 +79,14 @@ def unit_loads(
 
     Parameters as for `load`; strengths and stiffness do not matter, k_n is the unit, also of
     `ground`.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    stiffness_ratio : k_n / k_s
+    friction : Coulomb coefficient of contacts
+    bonds : cement on all contacts of the packed state
+    ground : holes and weight, over k_n, or None
     """
     specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
     if ground is not None:
@@ -274,7 +282,13 @@ def _held(
 
 
 def straight_path(pressure: float, xx: float, yy: float) -> Servo:
-    """Path of the wall stresses from an isotropic pressure to (xx, yy), all over k_n."""
+    """Path of the wall stresses from an isotropic pressure to (xx, yy), all over k_n.
+
+    Parameters
+    ----------
+    pressure : isotropic, at the start, over k_n
+    xx, yy : stress at the end, over k_n
+    """
     start = max(pressure, LEAST_START * xx), max(pressure, LEAST_START * yy)
     return path_between(start, (xx, yy))
 

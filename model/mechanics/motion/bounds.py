@@ -40,7 +40,14 @@ def follow(bounds: Any, grains: Grains) -> None:
 
 @by_type
 def unbalance(bounds: Any, grains: Grains, sums: Sums) -> float:
-    """Mean unbalanced force over the grains on which anything acts."""
+    """Mean unbalanced force over the grains on which anything acts.
+
+    Parameters
+    ----------
+    bounds : walls or a cell, a named tuple that chooses by its type
+    grains : the grains (n,), in units of mean radius and k_n
+    sums : sums over contacts and walls of the step
+    """
     return sums.unbalanced
 
 
@@ -52,7 +59,16 @@ def follows_path(bounds: Any) -> bool:
 
 @by_type
 def off_target(bounds: Any, servo: Servo, sums: Sums, wanted_xx: float, wanted_yy: float) -> float:
-    """Relative error of the stresses that the servo wants."""
+    """Relative error of the stresses that the servo wants.
+
+    Parameters
+    ----------
+    bounds : walls or a cell, a named tuple that chooses by its type
+    servo : what the walls are to do
+    sums : sums over contacts and walls of the step
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    """
     return stress_error(servo, sums, bounds.box, wanted_xx, wanted_yy)
 
 
@@ -60,7 +76,17 @@ def off_target(bounds: Any, servo: Servo, sums: Sums, wanted_xx: float, wanted_y
 def swings_for_ever(
     bounds: Any, servo: Servo, swings: Array, sums: Sums, wanted_xx: float, wanted_yy: float
 ) -> bool:
-    """Whether the servo overshoots without decay, see `servo.oscillates`."""
+    """Whether the servo overshoots without decay, see `servo.oscillates`.
+
+    Parameters
+    ----------
+    bounds : walls or a cell, a named tuple that chooses by its type
+    servo : what the walls are to do
+    swings : memory (2, 4), see `servo.oscillates`
+    sums : sums over contacts and walls of the step
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    """
     return oscillates(servo, swings, sums, bounds.box, wanted_xx, wanted_yy)
 
 
@@ -75,5 +101,17 @@ def stretch_bounds(
     stretch_x: float,
     stretch_y: float,
 ) -> None:
-    """Carry the bounds with a stretch."""
+    """Carry the bounds with a stretch.
+
+    Parameters
+    ----------
+    bounds : walls or a cell, a named tuple that chooses by its type
+    servo : what the walls are to do
+    sums : sums over contacts and walls of the step
+    kn : normal stiffness of contacts
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
+    """
     move_walls(servo, sums, bounds.box, kn, wanted_xx, wanted_yy, stretch_x, stretch_y)

@@ -133,6 +133,25 @@ def advance(  # noqa: C901 (a kernel)
     `steps` is the most that are taken. `swings` (2, 4) is the memory of `servo.oscillates`. A
     `ledger` (see `energy`) is kept where it is given, which local damping allows. Returns (how
     it ended, steps taken, run, sums).
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    bonds : bonds (b,)
+    joints : contacts (j,) across joints
+    law : law of contact, a named tuple that chooses what is done by its type
+    bounds : walls or a cell, a named tuple that chooses by its type
+    servo : what the walls are to do
+    stop : when grains count as at rest
+    run : how far the path has come, and FIRE’s state
+    dt : time step, at most this with FIRE
+    damping : coefficient of local damping, or FIRE
+    slack : distance that grains may move before the list is looked at again
+    reach : over which a stretch draws two grains that are in no pair: largest radius and skin
+    steps : most that are taken
+    swings : memory (2, 4), see `servo.oscillates`
+    ledger : energies (13,), see `energy`, or None
     """
     fire, last, stretch_x, stretch_y = run.fire, run.dt, run.stretch_x, run.stretch_y
     since_x, since_y, strain_x, strain_y = run.since_x, run.since_y, run.strain_x, run.strain_y
@@ -242,6 +261,13 @@ class Assembly(ABC):
         Raises ModelError where a position or force is no finite number any more.
 
         `damping` is the coefficient of local damping, or FIRE.
+
+        Parameters
+        ----------
+        servo : what the walls are to do
+        stop : when grains count as at rest
+        damping : coefficient of local damping, or FIRE
+        steps : most that are taken
         """
         start = 0.0 if servo.gain > 0.0 else 1.0
         self.run = self.run._replace(
@@ -332,7 +358,15 @@ class Specimen(Assembly):
         return int(np.count_nonzero(~self.lines.found))
 
     def relax(self, servo: Servo, stop: Stop, *, damping: float, steps: int) -> int:
-        """As every assembly does; a path that is paced starts from rest, by FIRE."""
+        """As every assembly does; a path that is paced starts from rest, by FIRE.
+
+        Parameters
+        ----------
+        servo : what the walls are to do
+        stop : when grains count as at rest
+        damping : coefficient of local damping, or FIRE
+        steps : most that are taken
+        """
         if self.ledger is not None and damping < 0.0:
             raise ValueError("an energy ledger needs local damping, FIRE takes energy in leaps")
         if servo.gain > 0.0 and servo.pace < np.inf:

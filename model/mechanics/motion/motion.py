@@ -33,6 +33,13 @@ def damped_velocities(grains: Grains, dt: float, alpha: float, ledger: Array | N
 
     `dt` is the time step, `alpha` the coefficient of damping; a `ledger` (`energy`) counts what
     it takes where it is given.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    dt : time step
+    alpha : coefficient of damping
+    ledger : energies (13,), see `energy`, or None
     """
     for i in range(grains.x.size):
         step = dt * grains.inverse_mass[i]
@@ -58,6 +65,12 @@ def fire_velocities(grains: Grains, fire: Fire, dt: float) -> Fire:
 
     v ← (1 − α) v + α |v| a / |a| + Δt a, norms weighted with the mass; rotations count as r
     times their angle. `dt` bounds the step. Returns the new state.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    fire : state of FIRE
+    dt : largest time step
     """
     power = speed2 = force2 = 0.0
     for i in range(grains.x.size):
@@ -88,7 +101,15 @@ def fire_velocities(grains: Grains, fire: Fire, dt: float) -> Fire:
 
 @kernel
 def move(grains: Grains, dt: float, stretch_x: float, stretch_y: float) -> float:
-    """Move grains by Δt v and an affine stretch about the origin; returns the largest speed²."""
+    """Move grains by Δt v and an affine stretch about the origin; returns the largest speed².
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    dt : time step
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
+    """
     fastest = 0.0
     for i in range(grains.x.size):
         vx, vy = grains.vx[i], grains.vy[i]

@@ -62,6 +62,13 @@ def advanced(servo: Servo, wanted_xx: float, wanted_yy: float, ratio: float) -> 
     """Part of the path that one step covers: less, the further from equilibrium.
 
     `ratio` is the mean unbalanced force over what the run allows at its end.
+
+    Parameters
+    ----------
+    servo : what the walls are to do
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    ratio : mean unbalanced force over what the run allows at its end
     """
     return servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + ratio / servo.calm)
 
@@ -98,6 +105,16 @@ def stretches(
     σ is the mean stress by the actual branch vectors; r_a + r_b instead would set the stretch
     against the walls. ε_lead, the mean strain of the steps before, lets the stresses follow a
     path without lagging behind in proportion to 1 / g.
+
+    Parameters
+    ----------
+    servo : what the walls are to do
+    sums : sums over contacts and walls of the step
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    lead_x : mean strain of the steps before, along x
+    lead_y : the same along y
     """
     mean_xx, mean_yy = mean_stresses(sums, box)
     factor = servo.gain / servo.modulus
@@ -123,6 +140,17 @@ def move_walls(
     """Carry the walls with the stretch, and correct each by its own force error.
 
     A wall's stiffness is that of its contacts, n k_n. Walls that are driven are not corrected.
+
+    Parameters
+    ----------
+    servo : what the walls are to do
+    sums : sums over contacts and walls of the step
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    kn : normal stiffness of contacts
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    stretch_x : affine strain of the step along x, extension positive
+    stretch_y : the same along y
     """
     width, height = box[1] - box[0], box[3] - box[2]
     far_x, far_y = servo.limit * width, servo.limit * height
@@ -146,7 +174,16 @@ def move_walls(
 
 @kernel
 def stress_error(servo: Servo, sums: Sums, box: Array, wanted_xx: float, wanted_yy: float) -> float:
-    """Largest relative error of the wall stresses and the mean stresses that are wanted."""
+    """Largest relative error of the wall stresses and the mean stresses that are wanted.
+
+    Parameters
+    ----------
+    servo : what the walls are to do
+    sums : sums over contacts and walls of the step
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
+    """
     width, height = box[1] - box[0], box[3] - box[2]
     mean_xx, mean_yy = mean_stresses(sums, box)
     worst_x = max(
@@ -173,6 +210,15 @@ def oscillates(
     `swings` (2, 4) remembers of xx and yy: the last error, the largest one since its sign
     changed, that of the swing with which others are compared, and how many did not fall below
     DECAY of it. It starts as zeros. A direction that is driven is not watched.
+
+    Parameters
+    ----------
+    servo : what the walls are to do
+    swings : memory (2, 4), see `servo.oscillates`
+    sums : sums over contacts and walls of the step
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    wanted_xx : stress xx that is wanted now, over k_n
+    wanted_yy : stress yy that is wanted now, over k_n
     """
     mean_xx, mean_yy = mean_stresses(sums, box)
     for k in range(2):

@@ -48,7 +48,14 @@ class Images(NamedTuple):
 
 @kernel
 def place_images(grains: Grains, images: Images, box: Array) -> None:
-    """Let the images follow their owners."""
+    """Let the images follow their owners.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    images : owner of each image, and the sides that it is away
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    """
     n = grains.x.size - images.owner.size
     width, height = box[1] - box[0], box[3] - box[2]
     for k in range(images.owner.size):

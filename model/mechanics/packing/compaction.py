@@ -79,6 +79,16 @@ def attempt(
 
     `fits` fits floaters into their voids; those of a periodic cell where it is repeated, so that
     they count in the porosity only.
+
+    Parameters
+    ----------
+    recipe : pressure, friction and what else grains are packed by
+    porosity : part of the area that no grain covers
+    size : width and height, (2,) in mean radii
+    law : of the radii
+    seeds : of this attempt
+    fits : whether floaters are fitted into their voids
+    periodic : whether in a cell that repeats itself, without walls
     """
     rng = np.random.Generator(np.random.PCG64(seeds))
     specimen = strewn(size, law, porosity, recipe.start, rng, Cell if periodic else Specimen)
@@ -111,6 +121,15 @@ def strewn(
 
     At the wanted porosity they fill a box of `size` (width, height; mean radii). Raises
     ModelError where they do not part.
+
+    Parameters
+    ----------
+    size : width and height, (2,) in mean radii
+    law : of the radii
+    porosity : that is wanted in the end
+    start : solid fraction at which grains are strewn
+    rng : source of randomness
+    kind : between walls, or in a cell
     """
     if law.grading is None:
         x, y, radius, box = _evenly(size, law, porosity, start, rng)

@@ -102,6 +102,14 @@ def largest_circle(
     The void is the one in which the point `at` lies: the circle's centre is no farther from it
     than `reach`, and the circle is no larger than three times that, so that it is none that
     encloses the others from outside. Returns (x, y, radius, the three), or None.
+
+    Parameters
+    ----------
+    x : centres of the circles, (n,)
+    y : centres, (n,)
+    radius : radii, (n,)
+    at : a point in the void
+    reach : how far from it the centre may lie
     """
     i, j, k = TRIPLES[np.all(len(x) > TRIPLES, axis=1)].T
     # |c − c_i| = ρ + r_i for three: the differences of the squares are linear in (c, ρ)

@@ -57,6 +57,13 @@ def coarse_radius(grading: Grading, region: Region, count: int, share: float) ->
     """Mean radius (m) of the coarse grains with which `count` grains lie in the region.
 
     `share` is the area that a grain takes, its pores included, over the square of its mean radius.
+
+    Parameters
+    ----------
+    grading : size of grains by place, over the coarse ones
+    region : where the case lies, m
+    count : grains that are to lie in the region
+    share : area that a grain takes with its pores, over the square of its mean radius
     """
     x0, x1, y0, y1 = bounding_box(region)
     steps = (np.arange(CELLS) + 0.5) / CELLS
@@ -83,6 +90,13 @@ def strew(grading: Grading, size: Array, share: float, rng: np.random.Generator)
 
     In units of the coarse mean radius. Cells are gone through along a curve that stays near to
     where it was, and every so much of the density gets a point, so that it is even everywhere.
+
+    Parameters
+    ----------
+    grading : size of grains by place, over the coarse ones
+    size : of the box, (2,) in coarse mean radii
+    share : area that a grain takes with its pores, over the square of its mean radius
+    rng : source of randomness
     """
     number = np.arange(CELLS * CELLS)
     column, row = _spread(number), _spread(number >> 1)

@@ -18,6 +18,12 @@ def lattice(kind: str, radius: float, box: tuple[float, float, float, float]) ->
     Grains stand symmetrically to the centre of the box, which is the centre of a pore.
     Rows of the hexagonal lattice run along x. The walls are the planes that touch the
     outermost grains. Contacts are the pairs at distance 2 R.
+
+    Parameters
+    ----------
+    kind : square or hexagonal
+    radius : of the discs, m
+    box : xmin, xmax, ymin, ymax that is covered, m
     """
     width, height = box[1] - box[0], box[3] - box[2]
     x, y = (_square if kind == "square" else _hexagonal)(

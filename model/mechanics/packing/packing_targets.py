@@ -91,6 +91,15 @@ def meet(
 
     Raises ModelError where the target lies outside what can be reached, naming that, or where
     grains do not come to rest.
+
+    Parameters
+    ----------
+    target : what is wanted of the packing
+    size : width and height, (2,) in mean radii
+    law : of the radii
+    seed : of what is drawn at random
+    fits : whether floaters are fitted into their voids
+    periodic : whether in a cell that repeats itself
     """
     draw = Draw(size, law, seed, fits, periodic, target.expected_porosity)
     if target.friction is None:
@@ -125,6 +134,12 @@ def find_friction(wanted: float, pressure: float, draw: Draw) -> Trial:
     Recipes are named by the porosity that the table promises. The first is the wanted one;
     the next is corrected by what came out, or lies between two that missed on either side. At
     the end of the table grains are drawn anew as long as scatter may explain the miss.
+
+    Parameters
+    ----------
+    wanted : porosity
+    pressure : over k_n
+    draw : packs by a recipe
     """
     least, greatest = float(RECIPES[0, 0]), float(RECIPES[-1, 0])
     nominal = min(max(wanted, least), greatest)
@@ -172,6 +187,12 @@ def find_pressure(wanted: float, friction: float, draw: Draw) -> Trial:
 
     Porosity falls as the pressure rises, about linearly in its root, in which it is interpolated
     between the nearest tries on either side.
+
+    Parameters
+    ----------
+    wanted : porosity
+    friction : Coulomb coefficient while packing
+    draw : packs by a recipe
     """
     known: list[tuple[float, float]] = []  # root of the pressure, miss
     steps = 0

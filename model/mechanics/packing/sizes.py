@@ -28,7 +28,15 @@ class Sizes(NamedTuple):
 def sizes_of(
     kind: str, ratio: float, deviation: float | None, radii: tuple[float, ...] | None
 ) -> Sizes:
-    """The law of radii of that kind; uniform on [r, ratio · r] needs the ratio only."""
+    """The law of radii of that kind; uniform on [r, ratio · r] needs the ratio only.
+
+    Parameters
+    ----------
+    kind : uniform, log-normal or list
+    ratio : largest over smallest radius
+    deviation : of ln r, of a log-normal law
+    radii : of a list, m
+    """
     if kind == "log-normal":
         assert deviation is not None  # the scene asks for it
         r = _log_normal(deviation, (np.arange(QUANTILES) + 0.5) / QUANTILES)
@@ -42,7 +50,14 @@ def sizes_of(
 
 
 def draw_radii(sizes: Sizes, n: int, rng: np.random.Generator) -> Array:
-    """Radii (n,) of a law with a mean of one; a list's in equal parts, as far as n allows."""
+    """Radii (n,) of a law with a mean of one; a list's in equal parts, as far as n allows.
+
+    Parameters
+    ----------
+    sizes : law of the radii
+    n : number of grains
+    rng : source of randomness
+    """
     if sizes.kind == "log-normal":
         return _log_normal(sizes.deviation, rng.random(n))
     if sizes.kind == "list":

@@ -31,6 +31,12 @@ def tiled(cell: Cell, size: Array, *, fits: bool = False) -> Tiled:
     Contacts across the edges of the copies are those of the cell with its images, so that an
     edge is like any other place; a contact is cut only where the rectangle ends. `fits` fits
     floaters into their voids, so that they touch three others without force.
+
+    Parameters
+    ----------
+    cell : the grains of a cell that repeats itself
+    size : of the rectangle, (2,)
+    fits : whether floaters are fitted into their voids
     """
     grains, n = cell.grains, len(cell.grains.x)
     sides = cell.box[[1, 3]] - cell.box[[0, 2]]
@@ -87,6 +93,12 @@ def _fitted(part: Tiled) -> Tiled:
 
 
 def bounds(x: Array, y: Array, radius: Array) -> Array:
-    """The box (4,) xmin, xmax, ymin, ymax around discs."""
+    """The box (4,) xmin, xmax, ymin, ymax around discs.
+
+    Parameters
+    ----------
+    x, y : centres, (n,)
+    radius : radii, (n,)
+    """
     low_x, low_y = (x - radius).min(), (y - radius).min()
     return np.array([low_x, (x + radius).max(), low_y, (y + radius).max()])

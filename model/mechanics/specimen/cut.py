@@ -64,6 +64,12 @@ def press_on(specimen: Specimen, gone: Array, pressure: float) -> Array:
     touch others, that have a corner among the grains to be taken, `gone` (n,) bool. Each of its
     edges shares the force of the pressure on it between its two ends, so that loads on a closed
     rim, whatever its shape, add up to neither a force nor a moment. Pressures are over k_n.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    gone : grains that are taken, (n,) bool
+    pressure : in the hole, over k_n
     """
     grains = specimen.grains
     a, b = listed(specimen.pairs)

@@ -20,12 +20,29 @@ def listed(pairs: Pairs) -> tuple[Array, Array]:
 
 
 def overlaps(x: Array, y: Array, radius: Array, a: Array, b: Array) -> Array:
-    """Overlap r_a + r_b − distance of each pair, (c,); negative for a gap."""
+    """Overlap r_a + r_b − distance of each pair, (c,); negative for a gap.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    radius : radii, (n,) m
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    """
     return radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])
 
 
 def contact_counts(x: Array, y: Array, radius: Array, box: Array, a: Array, b: Array) -> Array:
-    """Number of contacts of each grain, (n,), walls included; a, b are those between grains."""
+    """Number of contacts of each grain, (n,), walls included; a, b are those between grains.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    radius : radii, (n,) m
+    box : walls xmin, xmax, ymin, ymax, (4,) m
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    """
     walls = (
         (x - radius < box[0]).astype(np.int64)
         + (x + radius > box[1])
@@ -39,6 +56,12 @@ def porosity(x: Array, y: Array, radius: Array, box: Array) -> float:
     """Part of a box (xmin, xmax, ymin, ymax) that no disc covers, cut discs exactly.
 
     Overlaps of discs count twice; in a packing at rest they are of order 1e-6 of the area.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    radius : radii, (n,) m
+    box : walls xmin, xmax, ymin, ymax, (4,) m
     """
     left, right = (box[0] - x) / radius, (box[1] - x) / radius
     below, above = (box[2] - y) / radius, (box[3] - y) / radius
@@ -65,7 +88,14 @@ def _corner_area(a: Array, b: Array) -> Array:
 
 
 def fabric(x: Array, y: Array, a: Array, b: Array) -> Array:
-    """Fabric tensor (2, 2) of contacts (a, b): mean of n ⊗ n; half the unit tensor if isotropic."""
+    """Fabric tensor (2, 2) of contacts (a, b): mean of n ⊗ n; half the unit tensor if isotropic.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    """
     dx, dy = x[b] - x[a], y[b] - y[a]
     normal = np.column_stack([dx, dy]) / np.maximum(np.hypot(dx, dy), 1e-300)[:, None]
     return normal.T @ normal / max(len(a), 1)
@@ -96,6 +126,12 @@ def affine_strain(x: Array, y: Array, u: Array, v: Array) -> Array:
 
     Least squares of u = u₀ + H x over the grains given; the strain is the symmetric part of H.
     Raises ValueError for fewer than three grains, or grains on a line.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    u : displacements along x, (n,) m
+    v : displacements along y, (n,) m
     """
     base = np.column_stack([np.ones(len(x)), x - x.mean(), y - y.mean()])
     found, _, rank, _ = np.linalg.lstsq(base, np.column_stack([u, v]), rcond=None)
@@ -153,6 +189,15 @@ def force_chains(
     a contact joins two of them if its direction lies within `angle` (degrees) of the larger
     principal stress of both (Peters et al. 2005, Phys. Rev. E 72, 041307). Chains of fewer than
     three grains do not count. They are numbered from 0 in the order of their first contact.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    normal : forces, (c,) N per metre of depth, compression positive
+    shear : forces, (c,) N per metre of depth
+    angle : within which a contact lies along the larger principal stress, degrees
     """
     n = len(x)
     dx, dy = x[b] - x[a], y[b] - y[a]

@@ -77,6 +77,14 @@ def elasticity(
     Of a linear contact k_n is given; of a Hertz-Mindlin one it is the tangent stiffness of two
     grains of mean radius under the force 2 r̄ p that a `pressure` p (Pa) puts on them, and
     `normal_stiffness` is the grains' Young's modulus.
+
+    Parameters
+    ----------
+    contact : a law other than the linear one, or None
+    normal_stiffness : k_n, N/m per metre of depth; Young’s modulus of Hertz-Mindlin grains, Pa
+    stiffness_ratio : k_n / k_s
+    friction : Coulomb coefficient of contacts
+    pressure : p, Pa, under which a Hertz contact has its stiffness
     """
     if contact is None:
         law: Law = Linear(1.0, 1.0 / stiffness_ratio, friction)
@@ -106,6 +114,17 @@ def build_specimen(
     """The packed grains in units of mean radius and k_n, centred, with bonds and joints.
 
     Contacts are linear unless `elastic` says otherwise, which then has `normal_stiffness` too.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    normal_stiffness : k_n of contacts, N/m per metre of depth
+    stiffness_ratio : k_n / k_s
+    friction : Coulomb coefficient of contacts
+    bonds : cement on all contacts, or None
+    joints : smooth joints along straight traces
+    seed : of the bonds’ strengths
+    elastic : law of contact with its scales; None: linear
     """
     if elastic is None:
         elastic = elasticity(None, normal_stiffness, stiffness_ratio, friction, 0.0)
@@ -162,7 +181,18 @@ def cemented(
     stiffness_ratio: float,
     seed: int,
 ) -> BondState:
-    """Bonds between grains of radii (m,), a distance apart."""
+    """Bonds between grains of radii (m,), a distance apart.
+
+    Parameters
+    ----------
+    bonds : cement
+    radius_a : radii of the first grains, (b,) m
+    radius_b : of the second, (b,) m
+    distance : of their centres, (b,) m
+    elastic : law of contact with its scales
+    stiffness_ratio : k_n / k_s
+    seed : of the strengths
+    """
     normal_stiffness = elastic.normal_stiffness
     random = np.random.Generator(np.random.PCG64([seed, len(distance)]))
     tensile, shear = (

@@ -43,6 +43,12 @@ class Trial(ABC):
         """Unbalanced forces (3 n + 2,) after a displacement, and their ratio to the contacts'.
 
         The wanted stresses act on the deformed box.
+
+        Parameters
+        ----------
+        u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+        tilt : shear of the box
+        wanted : stresses xx, yy, xy that are wanted, (3,) over k_n
         """
         grains, box, n = self.grains, self.box, self.n
         step = u[:-2].reshape(n, 3)

@@ -26,7 +26,14 @@ def contacts_of(specimen: Specimen) -> Contacts:
 
 
 def at_walls(specimen: Specimen, kept: Array, reach: float) -> Walls:
-    """Grains among those kept, bool (n,), whose gap to a wall is below a reach, by wall."""
+    """Grains among those kept, bool (n,), whose gap to a wall is below a reach, by wall.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    kept : grains that count, (n,) bool
+    reach : largest gap
+    """
     grains, box = specimen.grains, specimen.box
     return tuple(
         np.flatnonzero(kept & (gap < reach))
@@ -57,6 +64,12 @@ def brakes(grains: Grains, contacts: Contacts, carries: Array) -> Array:
 
     A wall that it leans on beside holds it by (t·e)² k_n, t the tangent of the contact and e the
     normal of the wall, unless that is as small as what the forces themselves add.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    contacts : contacts (c,) of the specimen, with their bonds
+    carries : (n,) bool, which grains carry load
     """
     n = len(grains.x)
     kept = carries[contacts.a] & carries[contacts.b]

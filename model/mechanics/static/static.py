@@ -184,6 +184,13 @@ def equilibrium(specimen: Specimen, units: UnitLoads, wanted: Array, tolerance: 
 
     Parameters as for `superpose`, but the tolerance holds by the true law, and the specimen is
     left in the state that was found, spoilt where none was.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    units : linear response of the packed grains
+    wanted : stresses xx, yy, xy that are wanted, (3,) over k_n
+    tolerance : unbalanced force that is left, over the mean contact force
     """
     trial = FrictionalTrial(specimen, units)
     elastic = Elastic(units, trial)
@@ -213,7 +220,14 @@ class Elastic:
         return found
 
     def step(self, residual: Array, u: Array, tilt: float) -> Array:
-        """Displacement that takes an unbalance away, from a state u."""
+        """Displacement that takes an unbalance away, from a state u.
+
+        Parameters
+        ----------
+        residual : unbalanced forces, (3 n + 2,)
+        u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+        tilt : shear of the box
+        """
         return self.walls.corrected(solve(self.factor, residual), u, tilt)
 
     def doubts(self) -> str:

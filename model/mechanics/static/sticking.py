@@ -67,6 +67,18 @@ def held_forces(
     shear forces it starts from. Under a parallel bond the grains themselves bear where they were
     `touching`. Returns the virial, Σ |F|, the bonds beyond their strength, and how much force the
     grains under parallel bonds would not bear, since they slip or open.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    touching : grains that touched before, (c,) bool
+    before : shear forces that the displacement starts from, (c,)
+    bonds : bonds (b,)
+    law : law of contact, a named tuple that chooses what is done by its type
+    normal : normal forces, (c,), which are set
+    shear : shear forces, (c,), which are set
     """
     x, y, radius = grains.x, grains.y, grains.radius
     fx, fy, torque = grains.fx, grains.fy, grains.torque
@@ -121,7 +133,15 @@ def held_forces(
 
 @kernel
 def closing(grains: Grains, a: Array, b: Array, friction: float) -> float:
-    """Most force over k_n by which pairs (a, b) without cement would press on each other."""
+    """Most force over k_n by which pairs (a, b) without cement would press on each other.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
+    friction : Coulomb coefficient of contacts
+    """
     total = 0.0
     for k in range(a.size):
         i, j = a[k], b[k]

@@ -51,6 +51,13 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: Law) -> cs
     """The stiffness matrix (3 n + 2, 3 n + 2) about the present positions, over k_n.
 
     Every contact carries tension as it does compression, see `springs`.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    contacts : contacts (c,) of the specimen, with their bonds
+    bonds : bonds (b,)
+    law : law of contact, a named tuple that chooses what is done by its type
     """
     n = len(grains.x)
     a, b = contacts.a, contacts.b
@@ -102,6 +109,14 @@ def springs(
 
     A parallel bond adds its own to the grains', and stands alone across a gap. Contact bonds
     are as stiff there as grains that touch.
+
+    Parameters
+    ----------
+    overlap : U_n (c,)
+    contacts : contacts (c,) of the specimen, with their bonds
+    grains : the grains (n,), in units of mean radius and k_n
+    bonds : bonds (b,)
+    law : law of contact, a named tuple that chooses what is done by its type
     """
     bond, radius = (
         contacts.bond,

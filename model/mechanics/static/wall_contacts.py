@@ -37,6 +37,13 @@ def loose_contacts(
     """Find them among the grains near each wall, and how they answer a press of it.
 
     Left out are those without whose wall nothing would hold the grain.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    near : grains near each wall
+    touching : grains that touch it
+    displaced : displacement (3 n + 2,) by forces (3 n + 2,)
     """
     grains, box, n = specimen.grains, specimen.box, len(specimen.grains.x)
     grain = np.concatenate(near)
@@ -57,7 +64,14 @@ def loose_contacts(
 
 
 def press_load(grain: int, side: int, n: int) -> Array:
-    """Forces (3 n + 2,) on grains and walls where a wall presses a grain by one."""
+    """Forces (3 n + 2,) on grains and walls where a wall presses a grain by one.
+
+    Parameters
+    ----------
+    grain : which
+    side : wall, 0 to 3
+    n : number of grains
+    """
     load = np.zeros(3 * n + 2)
     load[3 * grain + side // 2] = INWARD[side]
     if side % 2 == 1:
@@ -122,7 +136,14 @@ class WallContacts:
         u += (lacks - self.lacked) @ self.response
 
     def corrected(self, step: Array, u: Array, tilt: float) -> Array:
-        """A step of the factored stiffness, for the contacts as they are at u."""
+        """A step of the factored stiffness, for the contacts as they are at u.
+
+        Parameters
+        ----------
+        step : displacement by the factored stiffness, (3 n + 2,)
+        u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+        tilt : shear of the box
+        """
         overlap = self.overlap + 0.5 * self.sense * tilt * self.along - self.gained(u)
         differs = (overlap > 0.0) != self.touching
         sign = self.sign[differs]

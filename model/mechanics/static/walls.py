@@ -20,6 +20,12 @@ def wall_shares(specimen: Specimen, walls: Walls, carries: Array) -> tuple[Array
     """Part of each wall's shear traction that each of its grains carries.
 
     In proportion to its force on the wall; none where the grain `carries` no load.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    walls : grains at each wall
+    carries : (n,) bool, which grains carry load
     """
     grains, box = specimen.grains, specimen.box
     shares = []
@@ -34,7 +40,14 @@ def wall_shares(specimen: Specimen, walls: Walls, carries: Array) -> tuple[Array
 
 
 def shear_load(specimen: Specimen, walls: Walls, share: tuple[Array, ...]) -> Array:
-    """Forces and torques (3 n + 2,) by a unit shear traction σ_xy on the walls."""
+    """Forces and torques (3 n + 2,) by a unit shear traction σ_xy on the walls.
+
+    Parameters
+    ----------
+    specimen : grains with bonds, joints and walls, in units of mean radius and k_n
+    walls : grains at each wall
+    share : of each of them in its wall’s traction
+    """
     grains, box = specimen.grains, specimen.box
     load = np.zeros(3 * len(grains.x) + 2)
     sides = (box[3] - box[2], box[3] - box[2], box[1] - box[0], box[1] - box[0])

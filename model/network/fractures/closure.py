@@ -20,12 +20,26 @@ RESIDUAL = 1e-3
 
 
 def half_stress(w0: np.ndarray, stress: np.ndarray, half: float) -> np.ndarray:
-    """W = w0 σ0 / (σ + σ0), m, of apertures w0 (m) under stresses σ ≥ 0 (Pa)."""
+    """W = w0 σ0 / (σ + σ0), m, of apertures w0 (m) under stresses σ ≥ 0 (Pa).
+
+    Parameters
+    ----------
+    w0 : apertures without stress, (n,) m
+    stress : normal stress σ ≥ 0, (n,) Pa
+    half : σ0 that halves them, Pa
+    """
     return w0 * half / (stress + half)
 
 
 def hyperbolic(stress: np.ndarray, stiffness: float, largest: np.ndarray) -> np.ndarray:
-    """Closure σ V_m / (k_n V_m + σ), m (Bandis, Lumsden & Barton 1983, IJRMMS 20, 249–268)."""
+    """Closure σ V_m / (k_n V_m + σ), m (Bandis, Lumsden & Barton 1983, IJRMMS 20, 249–268).
+
+    Parameters
+    ----------
+    stress : normal stress σ ≥ 0, (n,) Pa
+    stiffness : k_n, Pa/m
+    largest : closure V_m, (n,) m
+    """
     return stress * largest / (stiffness * largest + stress)
 
 
@@ -36,6 +50,12 @@ def barton_bandis(w0: np.ndarray, stress: np.ndarray, wall: BartonBandis) -> np.
     E closes hyperbolically from k_ni = −7.15 + 1.75 JRC + 0.02 JCS/E0 (MPa/mm) by at most
     V_m = −0.296 − 0.0056 JRC + 2.241 (JCS/E0)^−0.245 (mm) (Bandis et al. 1983; Barton, Bandis &
     Bakhtar 1985, IJRMMS 22, 121–140), and never by all of E0.
+
+    Parameters
+    ----------
+    w0 : hydraulic apertures without stress, (n,) m
+    stress : normal stress σ ≥ 0, (n,) Pa
+    wall : roughness and strength of the walls
     """
     rough = wall.jrc**2.5 * 1e-6
     open_ = np.maximum(np.sqrt(w0 * rough), w0)
@@ -53,7 +73,14 @@ def barton_bandis(w0: np.ndarray, stress: np.ndarray, wall: BartonBandis) -> np.
 
 
 def closed(w0: np.ndarray, stress: np.ndarray, law: Closure) -> np.ndarray:
-    """Apertures (n,) m under normal stresses (n,) Pa; tension leaves them as they are."""
+    """Apertures (n,) m under normal stresses (n,) Pa; tension leaves them as they are.
+
+    Parameters
+    ----------
+    w0 : apertures without stress, (n,) m
+    stress : normal stress, (n,) Pa, compression positive
+    law : how they close
+    """
     stress = np.maximum(stress, 0.0)
     if law.half_stress is not None:
         left = half_stress(w0, stress, law.half_stress)

@@ -24,6 +24,11 @@ def crossings(network: Network, start: np.ndarray, end: np.ndarray) -> Crossings
 
     Each centroid has one side of each line, zero counting as minus, so that no line slips
     between two pipes that meet in a pore.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    start, end : of the lines, (l, 2) m
     """
     near = network.inside[network.pipe_from] | network.inside[network.pipe_to]
     pipes = np.flatnonzero(near)

@@ -53,6 +53,13 @@ def cuts_of(apertures: Apertures, pipe: np.ndarray, backward: np.ndarray, part: 
     """What cuts connections (n,) along pipes of the network; a pipe may have several.
 
     `backward` (n,) ones run from the end at `pipe_to`, and each covers a `part` (n,) of its pipe.
+
+    Parameters
+    ----------
+    apertures : how far they are open, and traces with nodes of their own
+    pipe : of each connection, (n,)
+    backward : (n,) bool: it runs from the end at `pipe_to`
+    part : of its pipe that each covers, (n,)
     """
     first = np.searchsorted(apertures.cross_pipe, pipe)
     count = np.searchsorted(apertures.cross_pipe, pipe, side="right") - first
@@ -72,6 +79,14 @@ def subdivide(
     A trace crossed at the fraction t parts a conductance g in g / t and g / (1 − t), a barrier
     adds its resistance in series where it stands. Node k of the traces is terminal
     `first_node` + k. Only sums of resistances are formed, so that no contrast costs a digit.
+
+    Parameters
+    ----------
+    a : first terminals, (n,)
+    b : second terminals, (n,)
+    conductance : (n,) m³/(s Pa)
+    cuts : what cuts them
+    first_node : terminal of the first node of the traces
     """
     count = len(a)
     if len(cuts.way) == 0:

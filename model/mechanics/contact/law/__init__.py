@@ -47,7 +47,14 @@ def relative_radius(radius_a: np.ndarray, radius_b: np.ndarray) -> np.ndarray:
 
 @kernel
 def presses(law: Law, overlap: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Normal forces (c,) of contacts by their overlap and relative radius (c,)."""
+    """Normal forces (c,) of contacts by their overlap and relative radius (c,).
+
+    Parameters
+    ----------
+    law : law of contact
+    overlap : U_n (c,)
+    radius : relative radius (c,)
+    """
     forces = np.empty(overlap.size)
     for k in range(overlap.size):
         forces[k] = press(law, overlap[k], radius[k])
@@ -56,7 +63,14 @@ def presses(law: Law, overlap: np.ndarray, radius: np.ndarray) -> np.ndarray:
 
 @kernel
 def stiffnesses(law: Law, overlap: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Normal and shear stiffness (c,) of contacts by their overlap and relative radius (c,)."""
+    """Normal and shear stiffness (c,) of contacts by their overlap and relative radius (c,).
+
+    Parameters
+    ----------
+    law : law of contact
+    overlap : U_n (c,)
+    radius : relative radius (c,)
+    """
     normal, shear = np.empty(overlap.size), np.empty(overlap.size)
     for k in range(overlap.size):
         normal[k] = stiffness(law, overlap[k], radius[k])

@@ -35,14 +35,28 @@ class Hertz(NamedTuple):
 
 @kernel
 def hertz_force(modulus: float, un: float, r: float) -> float:
-    """Force of an overlap U_n, 0 where there is none: (2/3) E* √r U_n^{3/2}."""
+    """Force of an overlap U_n, 0 where there is none: (2/3) E* √r U_n^{3/2}.
+
+    Parameters
+    ----------
+    modulus : E*
+    un : overlap U_n
+    r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
+    """
     u = max(un, 0.0)
     return 2.0 / 3.0 * modulus * (r * u) ** 0.5 * u
 
 
 @kernel
 def hertz_stiffness(modulus: float, un: float, r: float) -> float:
-    """Its derivative: E* √(r U_n)."""
+    """Its derivative: E* √(r U_n).
+
+    Parameters
+    ----------
+    modulus : E*
+    un : overlap U_n
+    r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
+    """
     return modulus * (r * max(un, 0.0)) ** 0.5
 
 

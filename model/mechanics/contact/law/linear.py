@@ -17,23 +17,51 @@ class Linear(NamedTuple):
 
 @press.of(Linear)
 def linear_press(law: Any, un: float, r: float) -> float:
-    """F_n = k_n U_n."""
+    """F_n = k_n U_n.
+
+    Parameters
+    ----------
+    law : law of contact, a named tuple that chooses what is done by its type
+    un : overlap U_n
+    r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
+    """
     return max(law.kn * un, 0.0)
 
 
 @stiffness.of(Linear)
 def linear_stiffness(law: Any, un: float, r: float) -> float:
-    """Of contacts that touch, k_n."""
+    """Of contacts that touch, k_n.
+
+    Parameters
+    ----------
+    law : law of contact, a named tuple that chooses what is done by its type
+    un : overlap U_n
+    r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
+    """
     return law.kn
 
 
 @shear_stiffness.of(Linear)
 def linear_shear_stiffness(law: Any, un: float, r: float) -> float:
-    """Of contacts that touch, k_s."""
+    """Of contacts that touch, k_s.
+
+    Parameters
+    ----------
+    law : law of contact, a named tuple that chooses what is done by its type
+    un : overlap U_n
+    r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
+    """
     return law.ks
 
 
 @energy.of(Linear)
 def linear_energy(law: Any, un: float, r: float) -> float:
-    """k_n U_n² / 2."""
+    """k_n U_n² / 2.
+
+    Parameters
+    ----------
+    law : law of contact, a named tuple that chooses what is done by its type
+    un : overlap U_n
+    r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
+    """
     return 0.5 * law.kn * max(un, 0.0) ** 2
