@@ -25,6 +25,7 @@ from demflow.sweep.study.blocks import Block, Forms, Law, Listed, Member, Named,
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.expect import EXPECT
 from demflow.sweep.study.load import load_study
+from demflow.sweep.study.notes import TextFile
 from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
 from demflow.sweep.study.schema import study_schema
 from demflow.sweep.study.sections import Parameter, Section
@@ -120,6 +121,7 @@ class StudyPage:
         for key, block in (
             ("limits", study_file.LIMITS),
             ("figures", study_file.FIGURES),
+            ("report", study_file.REPORT),
             ("expect", EXPECT),
         ):
             self._block(key, block)
@@ -194,7 +196,7 @@ class StudyPage:
 
 
 # what the grammar of scenes documents itself
-_OF_SCENES = ("scene", "observe", "solver", "limits", "figures", "expect")
+_OF_SCENES = ("scene", "observe", "solver", "limits", "figures", "report", "expect")
 
 
 def _beside_scene(schema: Any) -> Iterator[str]:
@@ -259,7 +261,7 @@ def _parameter(section: Section) -> Parameter | None:
         inner = getattr(section, name, None)
         if isinstance(inner, Parameter):
             return inner
-    if isinstance(section, MapFiles):
+    if isinstance(section, MapFiles | TextFile):
         return Parameter(section.declared, str, optional=False)
     return None
 
@@ -290,7 +292,7 @@ _BELOW: dict[Any, str] = {
     Listed: "a list of blocks, below",
     Words: "a list of words",
     ProbeForms: "a block, below",
-    MapFiles: "path of a file, relative to the study",
+    MapFiles | TextFile: "path of a file, relative to the study",
 }
 
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import jinja2
 import xarray as xr
+from markdown_it import MarkdownIt
 from markupsafe import Markup
 
 from demflow.sweep.analysis.cases import Index
@@ -62,6 +63,7 @@ def write_report(
         style=Markup(_text("vendor/uPlot.min.css") + _text("page.css")),
         title=visible(study.title),
         name=visible(study.name),
+        notes=Markup(_notes(study.report.notes)),
         outcome=Markup(outcome(dataset)),
         promises=Markup(promises(dataset, study)),
         size=Markup(size_section(dataset, study)),
@@ -88,6 +90,12 @@ def _data(dataset: xr.Dataset, folder: Path, study: Study) -> Any:
     if not (dataset["status"].values == 0).any():
         return None
     return carried(dataset, study, cases_with_maps(dataset, representative_cases(dataset)), maps_of)
+
+
+def _notes(text: str) -> str:
+    """A text in Markdown as HTML: no HTML of its own, no picture from elsewhere."""
+    rules = MarkdownIt("commonmark", {"html": False}).enable("table").disable("image")
+    return rules.render(visible(text)) if text.strip() else ""
 
 
 def _json(data: Any) -> str:

@@ -35,6 +35,7 @@ from demflow.sweep.study.blocks import block_of
 from demflow.sweep.study.expect import EXPECT, Expectation
 from demflow.sweep.study.fits import FitRequest, asks_for_models, read_fit
 from demflow.sweep.study.measured import MeasuredTest, read_data
+from demflow.sweep.study.notes import REPORT, Report
 from demflow.sweep.study.overrides import overlaid
 from demflow.sweep.study.samples import NAME as SAMPLED
 from demflow.sweep.study.samples import cases_of, is_drawn, read_sample, sampled_axis
@@ -67,7 +68,7 @@ NAMED = ("wells", "fractures", "probes")
 MANY_NAMES = 50  # of them, from which on fewer combinations are checked
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
-    *("sample", "where", "limits", "figures", "expect", "smoke"),
+    *("sample", "where", "limits", "figures", "report", "expect", "smoke"),
     *("data", "fit"),
 )
 NAME_PATTERN = r"[A-Za-z0-9_-][A-Za-z0-9_.-]{0,99}"
@@ -125,6 +126,7 @@ class Study:
     values: Mapping[str, Any]  # of the scene, SI, without those of the axes; not to be changed
     limits: Limits
     figures: Figures
+    report: Report = field(default_factory=Report)
     promised: tuple[Expectation, ...] = ()  # one for all cases, or one for each variant; or none
     files: Mapping[str, NamedFile] = field(default_factory=dict)  # by the name of their kept copy
     kept: np.ndarray | None = None  # bool of the shape: combinations that are cases; None: all
@@ -238,6 +240,7 @@ def _study_of(
         values=values,
         limits=blocks["limits"],
         figures=blocks["figures"],
+        report=blocks["report"],
         promised=promised,
         files=reading.files,
         kept=kept,
@@ -322,9 +325,9 @@ def _axes_of(
 
 
 def _blocks_of(root: yaml_source.Mapping, reading: Reading) -> dict[str, Any]:
-    """The blocks beside the scene, `limits` and `figures`."""
+    """The blocks beside the scene that no case depends on."""
     blocks: dict[str, Any] = {}
-    for key, block in (("limits", LIMITS), ("figures", FIGURES)):
+    for key, block in (("limits", LIMITS), ("figures", FIGURES), ("report", REPORT)):
         node = root.entries.get(key)
         blocks[key] = block.cls()
         if node is not None and not (isinstance(node, Scalar) and node.empty):

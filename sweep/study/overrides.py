@@ -13,7 +13,13 @@ from demflow.sweep.study.units import nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Place, Problem, Scalar, Sequence
 
 _SPACING = ("from", "to", "count", "spacing", "distribution", "file", "columns")
-_UNWRITTEN = ("solver", "limits", "figures", "expect")  # a study without one has it all the same
+_UNWRITTEN = (
+    "solver",
+    "limits",
+    "figures",
+    "report",
+    "expect",
+)  # a study without one has it all the same
 
 
 def overlaid(

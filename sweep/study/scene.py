@@ -274,7 +274,7 @@ class MapFiles(Section):
         try:
             if not isinstance(node, Scalar):
                 raise MapError(["a file is named by its path relative to the study"])
-            files = _contents(node.text, reading)
+            files = contents(node.text, reading)
             return _read_once(tuple(files.items()), self.rings)
         except (MapError, OSError) as error:
             found = error.problems if isinstance(error, MapError) else [str(error.strerror)]
@@ -296,7 +296,7 @@ class MapFiles(Section):
         return MapFile(cross, np.array([0, 2, 4]), np.array([1, 2]), "")
 
 
-def _contents(text: str, reading: Reading) -> dict[str, bytes]:
+def contents(text: str, reading: Reading) -> dict[str, bytes]:
     """Content of a file that a study names, and of the .prj beside it, by their names."""
     named = Path(text)
     names = [named, named.with_suffix(".prj")] if named.suffix.lower() == ".shp" else [named]

@@ -17,6 +17,7 @@ from demflow.sweep.study.fits import FIT
 from demflow.sweep.study.laws import FORMS, keys_of
 from demflow.sweep.study.load import FIGURES, LIMITS, NAME_PATTERN
 from demflow.sweep.study.measured import DATA, RateForms
+from demflow.sweep.study.notes import REPORT, TextFile
 from demflow.sweep.study.reservoir import MODEL_PARAMETERS
 from demflow.sweep.study.samples import SAMPLE
 from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
@@ -72,6 +73,7 @@ def study_schema() -> Schema:
             "solver": _schema(SCENE.members["solver"].section),
             "limits": _schema(LIMITS),
             "figures": _schema(FIGURES),
+            "report": _schema(REPORT),
             "expect": _schema(EXPECT) | {"description": "how the cases end, within which bounds"},
             "smoke": {
                 "type": "object",
@@ -180,7 +182,7 @@ def _schema(section: Section) -> Schema:
         return {"anyOf": [_schema(section.number), *laws]}
     if isinstance(section, WordOr):
         return {"anyOf": [{"enum": list(section.words)}, _schema(section.value)]}
-    if isinstance(section, MapFiles):
+    if isinstance(section, MapFiles | TextFile):
         text = section.declared.metadata["help"]
         return {"type": "string", "description": f"{text}; its path relative to the study"}
     if isinstance(section, Words):

@@ -31,7 +31,7 @@ from demflow.sweep.study.yaml_source import MOST_TOLD, Node, Place, Problem, Sca
 
 # keys that stand beside `scene` in a study although a scene (or nothing else) holds them
 BESIDE_SCENE = (
-    *("observe", "solver", "limits", "figures", "expect"),
+    *("observe", "solver", "limits", "figures", "report", "expect"),
     *("vary", "sample", "where", "smoke", "data", "fit"),
 )
 

@@ -14,6 +14,7 @@ import demflow.sweep.report as report
 from demflow.sweep.figures.maps import polygons
 from demflow.sweep.report import write_report
 from demflow.sweep.report.html import grid
+from demflow.sweep.study.yaml_source import StudyError
 from tests.sweep.invented import RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
 pytestmark = pytest.mark.slow
@@ -191,3 +192,31 @@ def test_a_study_without_axes(made):
 def test_missing_numbers_are_dashes():
     assert "<td class='number'>–</td>" in grid(("a",), [(float("nan"),)])
     assert "<td>&lt;</td>" in grid(("a",), [("<",)])
+
+
+NOTES = """\
+# Why
+
+A *set*, and | a | table.
+
+<script>alert(1)</script> [a link](https://example.org) ![no](https://example.org/x.png)
+[bad](javascript:alert(1))
+"""
+
+
+def test_notes_are_shown_and_hold_nothing_that_runs(made, tmp_path):
+    (tmp_path / "notes.md").write_text(NOTES)
+    page, _, study = made(RADIAL + "report: {notes: notes.md}\n", draw=False)
+    text = " ".join(page.text)
+    assert study.report.notes == NOTES
+    assert "Why" in text
+    assert "<script>alert(1)</script>" in text
+    assert page.tags.count("script") == 2
+    assert "img" not in page.tags
+    links = {value for _, name, value in page.attributes if name == "href"}
+    assert links == {"https://example.org", "https://example.org/x.png"}
+
+
+def test_notes_that_are_not_there_are_told_with_their_place(tmp_path):
+    with pytest.raises(StudyError, match=r"report.notes: none.md: there is no such file"):
+        study_of(RADIAL + "report: {notes: none.md}\n", tmp_path)
