@@ -19,6 +19,7 @@ from demflow.model.transient import flow_periods, pressure_change
 
 Array = np.ndarray
 Steps = list[list[tuple[float, float]]]  # of each source: time (s), size (Pa or m³/s)
+Loads = tuple[tuple[tuple[float, float], ...], ...]  # on each wall: time (s), new stress (Pa)
 
 
 class Volumes(NamedTuple):
@@ -38,13 +39,13 @@ class Solved(NamedTuple):
     """How the flow was solved, and how well, by the names in `model.quantities.CASE`."""
 
     residual: Array  # ()
-    range_error: Array  # ()
+    range_error: Array | None  # (); None where no maximum principle holds
     estimated_error: Array  # () NaN without an estimate
     tolerance_met: Array  # () 1 or 0, NaN without an estimate
     isolated_domains: Array  # ()
     solver_used: Array  # () word
     solver_reason: Array  # () words
-    flow_balance_error: Array | float = 0.0  # ()
+    flow_balance_error: Array | float | None = 0.0  # (); None where flows rise and fall
 
 
 class History(NamedTuple):
@@ -65,9 +66,13 @@ class History(NamedTuple):
     probe_place: Array = np.empty((0, 2))  # (p, 2) m: where those pressures are, if known
 
 
-def superposed(responses: Responses, controls: Controls) -> History:
-    """The history of a case whose flow is linear, from its responses to unit steps."""
-    steps = step_sizes(controls)
+def superposed(responses: Responses, controls: Controls, loads: Loads | None = None) -> History:
+    """The history of a case whose flow is linear, from its responses to unit steps.
+
+    `loads` are the changes of stress on the walls of a coupled rock, whose responses come last;
+    there pressures and flows of a response may rise and fall.
+    """
+    steps = step_sizes(controls) + _load_steps(loads or ())
     times, changes = _times(controls), change_times(sites(controls.wells))
     output = _output(responses, controls, steps, times)
     wells, sides = controls.wells, len(controls.side_pressures)
@@ -110,24 +115,37 @@ def superposed(responses: Responses, controls: Controls) -> History:
         probe_place=responses.probe_place,
         solved=Solved(
             residual=responses.residual,
-            range_error=np.asarray(_out_of_range(responses, controls)),
+            range_error=(np.asarray(_out_of_range(responses, controls)) if loads is None else None),
             estimated_error=responses.time_error,
             tolerance_met=responses.tolerance_met,
             isolated_domains=responses.isolated,
-            flow_balance_error=np.asarray(_unexplained(responses, controls)),
+            flow_balance_error=(
+                np.asarray(_unexplained(responses, controls)) if loads is None else None
+            ),
             solver_used=responses.solver,
             solver_reason=responses.solver_reason,
         ),
     )
 
 
-def superposed_map(responses: Responses, controls: Controls) -> Array:
+def superposed_record(
+    responses: Array, initial: Array, lag: Array, controls: Controls, loads: Loads
+) -> Array:
+    """Something recorded of a coupled rock, (k, t), from responses (sources, l, k), fields so."""
+    times = _times(controls)
+    found = superpose(responses, lag, step_sizes(controls) + _load_steps(loads), times)
+    found += started(initial, lag, controls.initial_weights, times)
+    return np.asarray(found.T)
+
+
+def superposed_map(responses: Responses, controls: Controls, loads: Loads | None = None) -> Array:
     """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study.
 
     Domains that no source reaches keep the initial pressure; NaN where none is given.
     """
     times = _times(controls)
-    change = superpose(responses.pressure, responses.lag, step_sizes(controls), times)
+    steps = step_sizes(controls) + _load_steps(loads or ())
+    change = superpose(responses.pressure, responses.lag, steps, times)
     change += started(responses.initial_pressure, responses.lag, controls.initial_weights, times)
     return np.where(responses.reached, controls.reference + change, controls.initial)
 
@@ -222,6 +240,17 @@ def started(fields: Array, lag: Array, weights: tuple[float, ...], at: Array) ->
     return total
 
 
+def _load_steps(loads: Loads) -> Steps:
+    """Steps (s, Pa) of the stress on each wall that is loaded."""
+    return [
+        [
+            (t, new - old)
+            for (t, new), old in zip(changes, [0.0, *(s for _, s in changes)], strict=False)
+        ]
+        for changes in loads
+    ]
+
+
 def _times(controls: Controls) -> Array:
     return np.asarray(controls.times) if controls.transient else np.array([math.inf])
 
@@ -241,7 +270,9 @@ def _volumes(responses: Responses, controls: Controls, steps: Steps, times: Arra
     produced = np.zeros(len(times))
     moved = np.abs(let_in).sum(axis=1) + np.abs(stored)
     moved += np.abs(weights) @ responses.initial_volume
-    for changes in steps[len(controls.fixed_pressures) :]:
+    fixed = len(controls.fixed_pressures)
+    at_rate = sum(well.pressure is None for well in controls.wells)
+    for changes in steps[fixed : fixed + at_rate]:
         for time, size in changes:
             volume = size * np.maximum(times - time, 0.0)
             produced += volume

@@ -69,7 +69,9 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         }
     if "pressure_map" in scene.observe:
         controls = controls_of(scene)
-        pressure = superposed_map(products["flow"], controls)
+        coupled = products.get("consolidate")
+        responses = products["flow"] if coupled is None else coupled.flow
+        pressure = superposed_map(responses, controls, scene.loads)
         pressure = pressure if controls.transient else pressure[0]
         maps["pressure"] = pressure[..., : len(domain)]
         if len(at):

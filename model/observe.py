@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from demflow.model.controls import Controls
 from demflow.model.flow.equation.local_rock import spacing_around
-from demflow.model.history import History, Volumes, superposed, superposed_error
+from demflow.model.history import (
+    History,
+    Volumes,
+    superposed,
+    superposed_error,
+    superposed_record,
+)
 from demflow.model.products import (
     Apertures,
     FractureNetwork,
@@ -26,6 +34,9 @@ from demflow.model.transient import (
     log_time,
     pressure_change,
 )
+
+if TYPE_CHECKING:
+    from demflow.model.coupling.consolidation import Consolidation
 
 IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
 NETWORK = (
@@ -57,10 +68,12 @@ def observe(
     reference: Responses | None,
     traces: FractureNetwork | None,
     moduli: Moduli | None = None,
+    consolidated: Consolidation | None = None,
     *,
     region: Region,
     controls: Controls,
     wanted: tuple[str, ...],
+    loads: tuple[tuple[tuple[float, float], ...], ...] | None = None,
 ) -> dict[str, np.ndarray]:
     """Everything that a study asks of one case, under its names in `model.quantities.CASE`.
 
@@ -104,8 +117,11 @@ def observe(
         found["permeability"] = permeability.tensor
     if traces is not None:
         found |= _described(traces)
+    if consolidated is not None:
+        responses = consolidated.flow
+        found |= _strained(consolidated, stress, controls, loads or (), wanted)
     if responses is not None:
-        found |= _flowed(superposed(responses, controls), traces, controls, wanted)
+        found |= _flowed(superposed(responses, controls, loads), traces, controls, wanted)
         if reference is not None:
             flows = "boundary_flow" in wanted
             found |= superposed_error(responses, reference, controls, flows=flows)
@@ -181,6 +197,28 @@ def _chains(stress: StressState, region: Region) -> dict[str, np.ndarray]:
     }
 
 
+def _strained(
+    consolidated: Consolidation,
+    stress: StressState | None,
+    controls: Controls,
+    loads: tuple[tuple[tuple[float, float], ...], ...],
+    wanted: tuple[str, ...],
+) -> dict[str, np.ndarray]:
+    """How far the walls went, and the effective stress, in time."""
+    found = {}
+    if "wall_displacement" in wanted:
+        found["wall_displacement"] = superposed_record(
+            consolidated.wall, consolidated.initial_wall, consolidated.flow.lag, controls, loads
+        )
+    if "effective_stress" in wanted:
+        change = superposed_record(
+            consolidated.stress, consolidated.initial_stress, consolidated.flow.lag, controls, loads
+        )
+        before = np.zeros(3) if stress is None else stress.stress
+        found["effective_stress"] = before[:, None] + change
+    return found
+
+
 def _described(traces: FractureNetwork) -> dict[str, np.ndarray]:
     """What the network of the fractures is, under the names of the dataset."""
     places = {"well_joined": traces.well_joined, "boundary_joined": traces.side_joined}
@@ -218,8 +256,10 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
     """Number of pipes of the region whose grains have parted under the stress."""
     if stress is None:
         return np.asarray(0)
-    from demflow.model.network.apertures import pipe_gaps
+    from demflow.model.network.apertures import pipe_gaps, with_feet
 
+    stress = with_feet(network, stress)
+    assert stress is not None
     inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
     return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
 
@@ -238,7 +278,7 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     books = volumes.stored - volumes.let_in.sum(axis=1) + volumes.produced
     found["mass_balance_error"] = np.asarray(_over_moved(books, volumes))
     found["mass_imbalance"] = np.asarray(_over_moved(np.abs(books) + volumes.missing, volumes))
-    found |= history.solved._asdict()
+    found |= {name: v for name, v in history.solved._asdict().items() if v is not None}
     return found | _changes(history, controls) if controls.transient else found
 
 

@@ -7,9 +7,13 @@ import numpy as np
 from demflow.model.flow.linear.factor import analyse, factorise, solve
 from demflow.model.network.apertures import uniform
 from demflow.model.network.connectivity import reached
+from demflow.model.network.domains import cut_pipes, cut_places
 from demflow.model.network.fractures.subdivide import cuts_of, subdivide
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network, Permeability
+from demflow.model.region import Rectangle, contains
+
+OFF_WALLS = 3.0  # mean diameters from the walls where the permeability of the rock is measured
 
 
 def permeability(network: Network, apertures: Apertures, *, viscosity: float) -> np.ndarray:
@@ -20,7 +24,7 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     dissipation D_ab = Σ g Δp_a Δp_b of everything up to the rim. The area is that of the same
     pipes and parts of pipes, a tensor that is A times the identity but for the pores that the rim
     cuts: see `_spanned`. Symmetric, positive, and exact wherever pressure is linear. Wells are
-    left out.
+    left out. Of a network between walls it is that of the rock some pores away from them.
 
     Raises `ModelError` where no pipe conducts.
 
@@ -30,6 +34,7 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     apertures : how far they are open, and traces with nodes of their own
     viscosity : of the fluid, Pa s
     """
+    network, apertures = _core(network, apertures)
     d, m = len(network.x), len(apertures.node_x)
     within = (
         network.inside[network.pipe_from]
@@ -83,6 +88,27 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     scale = (axes / np.sqrt(values)) @ axes.T
     tensor = scale @ dissipation @ scale
     return np.asarray(0.5 * (tensor + tensor.T))
+
+
+def _core(network: Network, apertures: Apertures) -> tuple[Network, Apertures]:
+    """A network between walls, whose own rim lets nothing through, cut some pores inside of it."""
+    corners = network.grain_radius == 0.0
+    if len(network.cut) or not corners.any():
+        return network, apertures
+    size = np.array([np.ptp(network.grain_x), np.ptp(network.grain_y)])
+    off = np.minimum(OFF_WALLS * 2.0 * network.grain_radius[~corners].mean(), 0.25 * size)
+    middle_x = network.grain_x.min() + 0.5 * size[0]
+    middle_y = network.grain_y.min() + 0.5 * size[1]
+    core = Rectangle(*(size - 2.0 * off).tolist())
+    x, y = network.x - middle_x, network.y - middle_y
+    inside = contains(core, np.column_stack([x, y]))
+    cut, inner, outer = cut_pipes(inside, network.pipe_from, network.pipe_to)
+    side, fraction = cut_places(core, x, y, inner, outer)
+    cored = network._replace(
+        inside=inside, cut=cut, cut_inside=inner, cut_outside=outer, cut_side=side,
+        cut_fraction=fraction,
+    )  # fmt: skip
+    return cored, apertures._replace(cut_conductance=apertures.conductance[cut] / fraction)
 
 
 def _steady(

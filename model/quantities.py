@@ -94,6 +94,23 @@ CASE: dict[str, Quantity] = {
         gaps=True,
         comment=SUPERPOSED,
     ),
+    "wall_displacement": Quantity(
+        "m",
+        ("wall", "elapsed_time"),
+        "way of the wall since the start, outwards",
+        ("wall_displacement",),
+        transient=True,
+        comment="minus that of the top wall is the settlement; " + SUPERPOSED,
+    ),
+    "effective_stress": Quantity(
+        "Pa",
+        ("component", "elapsed_time"),
+        "mean effective stress of the specimen, compression positive",
+        ("effective_stress",),
+        transient=True,
+        comment="what contacts bear: forces times branches over the area; where the scene names no "
+        "stress, its change since the start",
+    ),
     "lowest_pressure": Quantity(
         "Pa", (), "lowest pressure of wells, probes and sides at the recorded times"
     ),
@@ -363,6 +380,7 @@ COORDINATES: dict[str, Quantity] = {
     "row": Quantity("", ("row",), "row of a tensor"),
     "column": Quantity("", ("column",), "column of a tensor"),
     "component": Quantity("", ("component",), "component of the stress"),
+    "wall": Quantity("", ("wall",), "wall of the specimen"),
     "stage": Quantity("", ("stage",), "stage of a case"),
 }
 

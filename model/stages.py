@@ -44,6 +44,7 @@ from demflow.model.quantities import checked
 from demflow.model.scene import Bonds, Ground, Scene, flow_lines, joint_lines, refined_places
 
 if TYPE_CHECKING:
+    from demflow.model.coupling.consolidation import consolidate
     from demflow.model.flow.solvers.registry import flow
     from demflow.model.mechanics.loading.strength import strength
     from demflow.model.mechanics.loading.stress import load as stress
@@ -57,6 +58,7 @@ if TYPE_CHECKING:
 __all__ = [
     "STAGES",
     "Stage",
+    "consolidate",
     "flow",
     "network",
     "observe",
@@ -179,6 +181,21 @@ def _scaled_ground(scene: Scene) -> Ground | None:
     return scene.ground.over(scene.grains.contact_stiffness)
 
 
+def _walled(scene: Scene) -> bool | None:
+    """True where the region is the specimen between its walls; None leaves identities alone."""
+    return True if scene.coupled else None
+
+
+def _load_times(scene: Scene) -> tuple[tuple[float, ...], ...]:
+    return tuple(tuple(time for time, _ in changes) for changes in scene.loads or ())
+
+
+def _active(scene: Scene) -> tuple[bool, ...]:
+    """Which sources of a coupled rock act: those of the flow, then the loads."""
+    loads = (any(size != 0.0 for _, size in changes) for changes in scene.loads or ())
+    return (*active_sources(scene), *loads)
+
+
 def _always(_scene: Scene) -> bool:
     return True
 
@@ -227,7 +244,7 @@ STAGES: tuple[Stage, ...] = (
         parents=(),
         reads={
             **_PACK_READS,
-            "specimen": lambda s: (s.tests and not s.porous) or None,
+            "specimen": lambda s: (s.tests and not s.porous) or s.coupled or None,
         },
         wanted=_always,
         product=Packing,
@@ -311,7 +328,7 @@ STAGES: tuple[Stage, ...] = (
         function="demflow.model.network.domains:network",
         version=2,
         parents=("pack",),
-        reads={"region": lambda s: s.rock},
+        reads={"region": lambda s: s.rock, "walled": _walled},
         wanted=lambda s: s.porous,
         product=Network,
     ),
@@ -365,7 +382,7 @@ STAGES: tuple[Stage, ...] = (
         version=17,
         parents=("network", "open"),
         reads=_FLOW_READS,
-        wanted=lambda s: s.flows,
+        wanted=lambda s: s.flows and not s.coupled,
         product=Responses,
         kept=kept_by_flow,
         held=held_by_flow,
@@ -384,6 +401,35 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=lambda s: s.needs("reference") and s.method != "steady",
         product=Responses,
+        kept=kept_by_flow,
+        held=held_by_flow,
+    ),
+    Stage(
+        name="consolidate",
+        function="demflow.model.coupling.consolidation:consolidate",
+        version=1,
+        parents=("pack", "network", "open"),
+        reads={
+            "region": lambda s: s.region,
+            "normal_stiffness": lambda s: s.grains.contact_stiffness,
+            "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
+            "friction": lambda s: s.grains.friction,
+            "bonds": _cement,
+            "held": lambda s: s.coupling and s.coupling.held_walls,
+            "load_times": _load_times,
+            "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
+            "wells": lambda s: sites(s.wells),
+            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+            "active": _active,
+            "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
+            "times": lambda s: controls_of(s).times,
+            "method": lambda s: s.method,
+            "tolerance": lambda s: s.solver.tolerance,
+            "record_map": lambda s: "pressure_map" in s.observe,
+            "initial": lambda s: s.start,
+        },
+        wanted=lambda s: s.flows and s.coupled,
+        product="demflow.model.coupling.consolidation:Consolidation",
         kept=kept_by_flow,
         held=held_by_flow,
     ),
@@ -408,12 +454,13 @@ STAGES: tuple[Stage, ...] = (
         version=10,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
-            *("measure", "flow", "reference", "fractures", "moduli"),
+            *("measure", "flow", "reference", "fractures", "moduli", "consolidate"),
         ),
         reads={
             "region": lambda s: s.rock,
             "controls": controls_of,
             "wanted": lambda s: s.observe,
+            "loads": lambda s: s.loads,
         },
         wanted=_always,
         product=dict,

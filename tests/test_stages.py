@@ -11,13 +11,16 @@ from demflow import model
 from demflow.model import stages
 from demflow.model.maps import case_maps
 from demflow.model.outcome import ModelError
+from demflow.model.products import named
 from demflow.model.quantities import CASE, MAPS, STOPPED, TESTS
 from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import (
     MEASURED_BY_A_TEST,
     OBSERVABLES,
+    OF_COUPLING,
     BiWing,
     Bonds,
+    Coupling,
     FailureTest,
     Fluid,
     FractureSet,
@@ -35,7 +38,7 @@ from demflow.model.scene import (
 from demflow.model.stages import STAGES, run_stages, simulate
 
 BY_NAME = {stage.name: stage for stage in STAGES}
-OBSERVED = tuple(name for name in OBSERVABLES if name not in MEASURED_BY_A_TEST)
+OBSERVED = tuple(name for name in OBSERVABLES if name not in (*MEASURED_BY_A_TEST, *OF_COUPLING))
 OBSERVED_LOOSE = tuple(set(OBSERVED) - {"elastic_moduli", "force_chains"})  # of loose grains
 GRAINS = Grains(count=150, porosity=0.17, modulus=2e10)
 BONDS = Bonds(kind="parallel", tensile_strength=2e7, shear_strength=2e7)
@@ -46,7 +49,7 @@ SCENE = Scene(
     grains=GRAINS,
     matrix=Matrix(permeability=1e-14, half_force=5e6),
     fluid=Fluid(1e-3, 1e9),
-    observe=tuple(OBSERVABLES),
+    observe=tuple(name for name in OBSERVABLES if name not in OF_COUPLING),
     bonds=BONDS,
     stress=Stress(1.2e7, 1e7),
     test=TEST,
@@ -70,8 +73,27 @@ LATTICE = Scene(
     fluid=Fluid(1e-3, 1e9),
     observe=("permeability",),
 )
+COUPLED = Scene(
+    region=Rectangle(2.0, 1.2),
+    grains=Grains(count=240, packing="square", modulus=2e10),
+    matrix=Matrix(aperture=1e-5),
+    fluid=Fluid(1e-3, 1e9),
+    observe=(*OF_COUPLING, "well_pressure", "pressure_map"),
+    bonds=BONDS,
+    wells=(Well(name="w", at=(0.0, 0.0), radius=0.15, rate=1e-6),),
+    boundaries=(("top", 7e6),),
+    initial_pressure=7e6,
+    coupling=Coupling(method="linear", load_yy=1e6),
+    times=(1.0, 10.0, 100.0),
+)
 PRODUCTS = run_stages(SCENE)
+COUPLED_PRODUCTS = run_stages(COUPLED)
 SEEN = PRODUCTS["observe"]
+
+
+def made_by(stage):
+    """A scene that wants a stage, and its products."""
+    return (SCENE, PRODUCTS) if stage.name in PRODUCTS else (COUPLED, COUPLED_PRODUCTS)
 
 
 def changed(**fields):
@@ -89,12 +111,11 @@ def test_same_scene_same_bits():
 def test_products_are_not_written_to_by_later_stages():
     """Each stage run anew from the stored products gives what it gave before."""
     for stage in STAGES:
-        parents = [PRODUCTS.get(name) for name in stage.parents]
-        again = stage.run(*parents, **{k: part(SCENE) for k, part in stage.reads.items()})
-        fields = again if isinstance(again, dict) else again._asdict()
-        before = PRODUCTS[stage.name]
-        before = before if isinstance(before, dict) else before._asdict()
-        for name, value in fields.items():
+        scene, products = made_by(stage)
+        parents = [products.get(name) for name in stage.parents]
+        again = stage.run(*parents, **{k: part(scene) for k, part in stage.reads.items()})
+        before = named(products[stage.name])
+        for name, value in named(again).items():
             np.testing.assert_array_equal(value, before[name], err_msg=f"{stage.name}.{name}")
 
 
@@ -121,7 +142,7 @@ def test_parents_come_first():
 
 @pytest.mark.parametrize("name", OBSERVABLES)
 def test_an_output_runs_the_stages_that_it_needs_and_no_flow_or_test_besides(name):
-    scene = changed(observe=(name,))
+    scene = dataclasses.replace(COUPLED if name in OF_COUPLING else SCENE, observe=(name,))
     run = {stage.name for stage in STAGES if stage.wanted(scene)}
     assert set(OBSERVABLES[name]) | {"pack", "observe"} <= run
     always = {
@@ -138,9 +159,9 @@ def test_an_output_runs_the_stages_that_it_needs_and_no_flow_or_test_besides(nam
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda s: s.name)
 def test_products_are_named_arrays(stage):
-    product = PRODUCTS[stage.name]
-    assert isinstance(product, stage.product)
-    for value in (product if isinstance(product, dict) else product._asdict()).values():
+    product = made_by(stage)[1][stage.name]
+    assert isinstance(product, stage.returns)
+    for value in named(product).values():
         assert isinstance(value, np.ndarray)
         assert value.dtype.kind in "fibU"
 
@@ -166,6 +187,17 @@ READS = {
     | {"boundary", "initial"},
     "reference": {"region", "bulk_modulus", "well.radius", "times", "probes", "observe"}
     | {"boundary", "initial"},
+    "consolidate": {"region", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
+    | {
+        "bulk_modulus",
+        "well.radius",
+        "times",
+        "solver",
+        "probes",
+        "observe",
+        "boundary",
+        "initial",
+    },
     "fractures": {"region", "fractures", "joint", "viscosity", "well.radius"},
     "observe": {"region", "well.rate", "well.radius", "times", "boundary", "initial", "observe"},
 }
@@ -249,7 +281,8 @@ def test_rates_share_one_transient():
             ),
             {"pack", "network", "open", "flow", "observe"},
         ),
-        (SCENE, {stage.name for stage in STAGES}),
+        (SCENE, {stage.name for stage in STAGES} - {"consolidate"}),
+        (COUPLED, {"pack", "network", "open", "consolidate", "observe"}),
     ],
 )
 def test_only_what_a_scene_needs_is_run(scene, runs):
@@ -296,7 +329,13 @@ def test_shapes_are_those_of_the_table():
         "component": 3,
     }
     rare = {name for name, quantity in CASE.items() if "event" in quantity.dimensions}
-    assert set(SEEN) == set(CASE) - rare - {STOPPED}  # which only a march may have
+    rare |= {STOPPED}  # which only a march may have
+    assert set(SEEN) == set(CASE) - rare - set(OF_COUPLING)
+    coupled = COUPLED_PRODUCTS["observe"]
+    assert set(OF_COUPLING) <= set(coupled) <= set(CASE) - rare
+    for name, value in coupled.items():
+        shape = tuple({**sizes, "well": 1, "wall": 4}[d] for d in CASE[name].dimensions)
+        assert value.shape == shape, name
     for name, value in SEEN.items():
         assert value.shape == tuple(sizes[d] for d in CASE[name].dimensions), name
     steady = dataclasses.replace(

@@ -45,6 +45,7 @@ class Pores(NamedTuple):
     start: Array  # (d + 1,) first corner of each pore
     corner: Array  # (corners,) vertex at each, counter-clockwise
     floating: Array  # (d,) m² of floaters inside
+    walls: Array  # (d, 4) bool: the walls left, right, bottom, top that it reaches
 
 
 def pores_of(packing: Packing, network: Network) -> Pores:
@@ -76,9 +77,30 @@ def pores_of(packing: Packing, network: Network) -> Pores:
         weights=np.pi * packing.radius[floats[lies]] ** 2,
         minlength=len(network.x),
     )
+    on_wall = np.zeros((len(carried), 4), dtype=bool)
+    on_wall[n + np.arange(len(grain)), wall] = True
+    for k, both in enumerate(CORNERS):
+        on_wall[n + len(grain) + k, list(both)] = True
+    pore, i, j = _edges(network.corner_start, network.corner_grain)
+    walls = np.zeros((len(network.x), 4), dtype=bool)
+    np.logical_or.at(walls, pore, on_wall[i] & on_wall[j])
     return Pores(
-        row_x, row_y, network.grain_radius, network.corner_start, network.corner_grain, floating
+        row_x,
+        row_y,
+        network.grain_radius,
+        network.corner_start,
+        network.corner_grain,
+        floating,
+        walls,
     )
+
+
+def _edges(start: Array, corner: Array) -> tuple[Array, Array, Array]:
+    """The pore that each edge bounds, and the vertices that it runs from and to, (corners,)."""
+    count = np.diff(start)
+    after = np.arange(1, len(corner) + 1)
+    after[start[1:][count > 0] - 1] = start[:-1][count > 0]
+    return np.repeat(np.arange(len(count)), count), corner, corner[after]
 
 
 def place_of(x: Array, y: Array, box: Array) -> Array:
@@ -112,11 +134,7 @@ def volume_gradient(pores: Pores, place: Array, lengths: str = "chord") -> csr_a
     """
     if lengths not in LENGTHS:
         raise ValueError(f"wetted lengths are {', '.join(LENGTHS)}, not {lengths!r}")
-    i, count = pores.corner, np.diff(pores.start)
-    pore = np.repeat(np.arange(len(count)), count)
-    after = np.arange(1, len(i) + 1)
-    after[pores.start[1:][count > 0] - 1] = pores.start[:-1][count > 0]
-    j = i[after]
+    pore, i, j = _edges(pores.start, pores.corner)
     x, y = place[pores.row_x], place[pores.row_y]
     dx, dy = x[j] - x[i], y[j] - y[i]
     d = np.hypot(dx, dy)
@@ -130,16 +148,17 @@ def volume_gradient(pores: Pores, place: Array, lengths: str = "chord") -> csr_a
         on_wall = (ri == 0.0) & (rj == 0.0)
         li, lj = np.where(on_wall, 0.5 * d, ri), np.where(on_wall, 0.5 * d, rj)
     if lengths == "paper":
-        before = np.empty_like(after)
-        before[after] = np.arange(len(i))
+        first, last = pores.start[pore], pores.start[pore + 1] - 1
+        here = np.arange(len(i))
         turn = np.arctan2(dy, dx)
-        half = 0.5 * np.mod(turn[before] + np.pi - turn, 2.0 * np.pi)
-        li = li * half / np.sin(half)
-        lj = lj * (half / np.sin(half))[after]
+        before = turn[np.where(here > first, here - 1, last)]
+        half = 0.5 * np.mod(before + np.pi - turn, 2.0 * np.pi)
+        more = half / np.sin(half)
+        li, lj = li * more, lj * more[np.where(here < last, here + 1, first)]
     nx, ny = dy * unit, -dx * unit
     row = [pores.row_x[i], pores.row_y[i], pores.row_x[j], pores.row_y[j]]
     value = [li * nx, li * ny, lj * nx, lj * ny]
     return coo_array(
         (np.concatenate(value), (np.concatenate(row), np.tile(pore, 4))),
-        shape=(len(place), len(count)),
+        shape=(len(place), len(pores.start) - 1),
     ).tocsr()

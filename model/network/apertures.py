@@ -146,7 +146,7 @@ def open_pipes(
             ]
         )[fracture]
         acts, on_fracture = _widened(walked, wide, unstressed)
-    aperture = _stressed(network, stress, unstressed, matrix)
+    aperture = _stressed(network, with_feet(network, stress), unstressed, matrix)
     conductance = pipe_conductance(aperture, network.pipe_length, viscosity)
     result = result._replace(
         aperture=aperture,
@@ -284,8 +284,11 @@ def _stressed(
         return unstressed
     half: Any = matrix.half_force
     if matrix.half_stress is not None:
-        radii = network.grain_radius
-        half = matrix.half_stress * (radii[network.pipe_grain_a] + radii[network.pipe_grain_b])
+        one, other = (
+            network.grain_radius[grain] for grain in (network.pipe_grain_a, network.pipe_grain_b)
+        )
+        # a wall presses on a grain as its mirror image would
+        half = matrix.half_stress * np.where(other == 0.0, 2.0 * one, one + other)
     contact = pipe_contacts(network, stress)
     force = np.where(contact >= 0, stress.normal_force[contact], 0.0)
     gap = np.maximum(pipe_gaps(network, stress), 0.0)
@@ -293,6 +296,47 @@ def _stressed(
         force > 0.0,
         stressed_aperture(unstressed, np.maximum(force, 0.0), half),
         parted_aperture(unstressed, gap, matrix.gap_factor),
+    )
+
+
+def with_feet(network: Network, stress: StressState | None) -> StressState | None:
+    """The loaded grains with what walls press on their feet, where the network has such.
+
+    A wall presses a grain by what its contacts leave unbalanced across the wall.
+    """
+    if stress is None or len(network.grain_x) == len(stress.x):
+        return stress
+    n, a, b = len(stress.x), stress.contact_a, stress.contact_b
+    normal = np.array([stress.x[b] - stress.x[a], stress.y[b] - stress.y[a]])
+    normal /= np.hypot(*normal)
+    force = stress.normal_force * normal + stress.shear_force * np.array([-normal[1], normal[0]])
+    net = np.array([np.bincount(b, f, n) - np.bincount(a, f, n) for f in force])
+    low = (network.grain_x.min(), network.grain_y.min())
+    high = (network.grain_x.max(), network.grain_y.max())
+    stands = network.pipe_grain_b >= n
+    grain, foot = network.pipe_grain_a[stands], network.pipe_grain_b[stands]
+    place = np.array([network.grain_x, network.grain_y])
+    moved = place.copy()
+    moved[:, :n] = stress.x, stress.y
+    press = np.zeros(len(foot))
+    for axis in (0, 1):
+        for side, sense in ((low[axis], -1.0), (high[axis], 1.0)):
+            on = place[axis, foot] == side
+            press[on] = sense * net[axis, grain[on]]
+            moved[axis, foot[on]] = stress.box[2 * axis + (sense > 0.0)]
+            moved[1 - axis, foot[on]] = moved[1 - axis, grain[on]]
+    one, other = np.append(a, grain), np.append(b, foot)
+    order = np.lexsort((other, one))
+    none = np.zeros(len(foot))
+    return stress._replace(
+        x=moved[0],
+        y=moved[1],
+        contact_a=one[order],
+        contact_b=other[order],
+        normal_force=np.append(stress.normal_force, press)[order],
+        shear_force=np.append(stress.shear_force, none)[order],
+        bonded=np.append(stress.bonded, none > 0.0)[order],
+        joint_gap=np.append(stress.joint_gap, none + np.nan)[order],
     )
 
 

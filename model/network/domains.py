@@ -142,8 +142,8 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
         )
         inside = np.append(inside, np.zeros(2 * count, dtype=bool))
         corner_start = np.append(corner_start, np.full(2 * count, corner_start[-1]))
-    cut, cut_inside, cut_outside = _cut_pipes(inside, left, right)
-    side, fraction = _cut_places(region, cx, cy, cut_inside, cut_outside)
+    cut, cut_inside, cut_outside = cut_pipes(inside, left, right)
+    side, fraction = cut_places(region, cx, cy, cut_inside, cut_outside)
     return Network(
         x=cx,
         y=cy,
@@ -312,7 +312,7 @@ def _load_bearing(n: int, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.
     return a[kept], b[kept]
 
 
-def _cut_pipes(
+def cut_pipes(
     inside: np.ndarray, left: np.ndarray, right: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Pipes that leave the region, with the domain at their inner and their outer end."""
@@ -322,7 +322,7 @@ def _cut_pipes(
     return cut, inner, outer
 
 
-def _cut_places(
+def cut_places(
     region: Region, x: np.ndarray, y: np.ndarray, inner: np.ndarray, outer: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Side on which each cut pipe meets the rim, and the part of the pipe that lies inside.

@@ -8,8 +8,9 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 
 from demflow.model.parameters import SceneError
 from demflow.model.region import Circle, Hole, Pierced, Polygon, Rectangle, Region, Shape
-from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, Scene
+from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, OF_COUPLING, Scene
 from demflow.model.scene.closure import BartonBandis, Closure
+from demflow.model.scene.coupling import Coupling
 from demflow.model.scene.distributions import (
     Exponential,
     LengthPower,
@@ -60,6 +61,7 @@ __all__ = [
     "LEAST_TOLERANCE",
     "MEASURED_BY_A_TEST",
     "OBSERVABLES",
+    "OF_COUPLING",
     "BartonBandis",
     "BiWing",
     "Bonds",
@@ -67,6 +69,7 @@ __all__ = [
     "CircularHole",
     "Closure",
     "Contact",
+    "Coupling",
     "Excavation",
     "Exponential",
     "FailureTest",

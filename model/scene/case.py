@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Pierced, Region, Shape
+from demflow.model.scene.coupling import Coupling, coupling_problems
 from demflow.model.scene.flow import (
     Boundary,
     Fluid,
@@ -31,7 +32,7 @@ from demflow.model.scene.rock import (
     loading_problems,
 )
 
-__all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "Scene"]
+__all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "OF_COUPLING", "Scene"]
 
 _PORES = ("network", "open")  # pores and their pipes
 
@@ -42,6 +43,8 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "pressure_map": (*_PORES, "flow"),
     "boundary_flow": (*_PORES, "flow"),
     "probe_pressure": (*_PORES, "flow"),
+    "wall_displacement": (*_PORES, "consolidate"),
+    "effective_stress": (*_PORES, "consolidate"),
     "grain_map": _PORES,
     "time_error": (*_PORES, "flow", "reference"),
     "youngs_modulus": ("strength",),
@@ -52,6 +55,7 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "elastic_moduli": ("moduli",),
     "force_chains": ("stress",),
 }
+OF_COUPLING = tuple(name for name, stages in OBSERVABLES.items() if "consolidate" in stages)
 MEASURED_BY_A_TEST = tuple(name for name, stages in OBSERVABLES.items() if "strength" in stages)
 
 # Outputs, and the part of the scene without which there is nothing to observe.
@@ -61,6 +65,8 @@ _OBSERVED = {
     "boundary_flow": ("boundaries", "every side is sealed"),
     "elastic_moduli": ("bonds", "there are no bonds"),
     "force_chains": ("stress", "there is no stress"),
+    "wall_displacement": ("coupled", "nothing moves the walls; add coupling: linear"),
+    "effective_stress": ("coupled", "nothing changes it; add coupling: linear"),
 }
 
 
@@ -94,6 +100,7 @@ class Scene:
         help="pressure at time zero: one everywhere, a linear field, or steady: the steady state "
         "of all that keeps its pressure",
     )
+    coupling: Coupling | None = None
     times: tuple[float, ...] = ()
     solver: Solver = Solver()
 
@@ -102,7 +109,9 @@ class Scene:
         rock = self.rock
         problems = [
             *grain_problems(self.grains, self.region),
-            *loading_problems(self.grains, self.bonds, self.stress, self.test),
+            *loading_problems(
+                self.grains, self.bonds, self.stress, self.test, coupled=self.coupled
+            ),
             *ground_problems(
                 self.excavate,
                 self.gravity,
@@ -122,6 +131,7 @@ class Scene:
             *time_problems(self.times),
             *self._transient_problems(),
             *self._steady_problems(),
+            *self._coupling_problems(),
         ]
         if problems:
             raise SceneError(problems)
@@ -166,8 +176,8 @@ class Scene:
 
     @property
     def flows(self) -> bool:
-        """Whether an output is wanted that needs the pressure field of the wells."""
-        return self.needs("flow")
+        """Whether an output is wanted that needs the pressure field of wells, sides and loads."""
+        return self.needs("flow") or self.needs("consolidate")
 
     @property
     def tests(self) -> bool:
@@ -183,6 +193,16 @@ class Scene:
     def transient(self) -> bool:
         """Whether pressures are followed in time."""
         return self.flows and self.method != "steady"
+
+    @property
+    def coupled(self) -> bool:
+        """Whether pressure moves grains, and grains squeeze pores."""
+        return self.coupling is not None and self.coupling.method != "none"
+
+    @property
+    def loads(self) -> tuple[tuple[tuple[float, float], ...], ...] | None:
+        """Changes of stress (s, Pa) on the right and on the top wall; None without coupling."""
+        return self.coupling.load_changes if self.coupling is not None and self.coupled else None
 
     @property
     def keeps_a_pressure(self) -> bool:
@@ -211,7 +231,7 @@ class Scene:
         for name, (part, lacking) in _OBSERVED.items():
             if name in self.observe and not getattr(self, part):
                 yield "observe", f"{name} is asked for, but {lacking}"
-        if self.flows and not self.wells and not self.boundaries:
+        if self.flows and not (self.wells or self.boundaries or any(self.loads or ())):
             yield "wells", "nothing moves the fluid: add a well or a boundary pressure"
 
     def _part_problems(self) -> Problems:
@@ -249,6 +269,26 @@ class Scene:
             yield "initial_pressure", what
         elif self.start == "steady":
             yield from self._steady_start_problems()
+
+    def _coupling_problems(self) -> Problems:
+        """What does not go with coupling."""
+        if not self.coupled:
+            return
+        yield from coupling_problems(
+            self.region, self.grains, self.bonds, self.fractures, holed=bool(self.excavate)
+        )
+        if self.flows and not self.transient:
+            yield "coupling", "grains move while fluid does; give times, or leave coupling out"
+        if self.solver.method == "explicit":
+            yield "solver.method", "explicit solves no coupled transient; take auto, or krylov"
+        if "time_error" in self.observe:
+            what = "time_error is measured on rigid rock; estimated_error stands in every result"
+            yield "observe", what
+        if "permeability" in self.observe and self.fractures:
+            yield "observe", "permeability of a coupled specimen is measured without fractures"
+        if self.start == "steady":
+            what = "a coupled transient starts from one pressure, or a linear field"
+            yield "initial_pressure", what
 
     def _steady_start_problems(self) -> Problems:
         """What is wrong with a start from the steady state."""

@@ -366,7 +366,12 @@ def grain_problems(grains: Grains, region: Region) -> Problems:
 
 
 def loading_problems(
-    grains: Grains, bonds: Bonds | None, stress: Stress | None, test: FailureTest | None
+    grains: Grains,
+    bonds: Bonds | None,
+    stress: Stress | None,
+    test: FailureTest | None,
+    *,
+    coupled: bool = False,
 ) -> Problems:
     """What is wrong with a rock and the loads on it, taken together.
 
@@ -386,7 +391,7 @@ def loading_problems(
     if grains.contact_law is not None:
         yield from _nonlinear_problems(grains, bonds, stress)
     if bonds is not None:
-        if stress is None and test is None:
+        if stress is None and test is None and not coupled:
             yield "bonds", "bonds act only where the scene names a stress or a test"
         return
     if test is not None and test.kind == "tension":

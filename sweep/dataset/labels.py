@@ -13,7 +13,12 @@ from demflow.model.scene import Scene
 from demflow.sweep.plan.graph import Plan
 
 CONVENTIONS = "CF-1.11"
-FIXED = {"row": ("x", "y"), "column": ("x", "y"), "component": ("xx", "yy", "xy")}
+FIXED = {
+    "row": ("x", "y"),
+    "column": ("x", "y"),
+    "component": ("xx", "yy", "xy"),
+    "wall": ("left", "right", "bottom", "top"),
+}
 
 
 def quantity_attributes(quantity: Quantity) -> dict[str, str | float]:

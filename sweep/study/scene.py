@@ -24,6 +24,7 @@ from demflow.model.scene import (
     BiWing,
     Circle,
     CircularHole,
+    Coupling,
     Excavation,
     FractureSet,
     Grains,
@@ -235,6 +236,33 @@ class InitialForms(Section):
 
 
 @dataclass(frozen=True)
+class WordOrBlock(Section):
+    """A block, or the word that stands for the rest of it: `linear` for `{method: linear}`."""
+
+    key: str
+    block: Block
+
+    def read(self, node: Node, path: str, reading: Reading) -> Any:
+        """Values by key."""
+        if isinstance(node, Scalar):
+            word = self.block.members[self.key].section
+            return {self.key: word.read(node, path, reading)}
+        return self.block.read(node, path, reading)
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
+        """The dataclass."""
+        return self.block.build(values or {}, path, problems)
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter at a path of keys; the block as a whole stands for its word."""
+        return self.block.find(values or {}, parts or (self.key,))
+
+    def paths(self, values: Any, path: str) -> Iterator[str]:
+        """The paths of its keys."""
+        yield from self.block.paths(values or {}, path)
+
+
+@dataclass(frozen=True)
 class WordOr(Section):
     """One of a few words, or a value."""
 
@@ -356,6 +384,7 @@ def _scene() -> Block:
         "initial_pressure": InitialForms(
             Parameter(initial, float, optional=True), block_of(InitialField)
         ),
+        "coupling": WordOrBlock("method", block_of(Coupling)),
         "boundaries": Named(Parameter(pressure, float, optional=False)),
         "probes": Named(ProbeForms(block_of(Probe), block_of(ProbeLine))),
         "excavate": Listed(blocks_of(typing.get_args(Excavation), WORDS)),

@@ -20,7 +20,15 @@ from demflow.sweep.study.measured import DATA, RateForms
 from demflow.sweep.study.notes import REPORT, TextFile
 from demflow.sweep.study.reservoir import MODEL_PARAMETERS
 from demflow.sweep.study.samples import SAMPLE
-from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
+from demflow.sweep.study.scene import (
+    SCENE,
+    InitialForms,
+    MapFiles,
+    ProbeForms,
+    Times,
+    WordOr,
+    WordOrBlock,
+)
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
 
@@ -182,6 +190,10 @@ def _schema(section: Section) -> Schema:
         return {"anyOf": [_schema(section.number), *laws]}
     if isinstance(section, WordOr):
         return {"anyOf": [{"enum": list(section.words)}, _schema(section.value)]}
+    if isinstance(section, WordOrBlock):
+        return {
+            "anyOf": [_schema(section.block.members[section.key].section), _schema(section.block)]
+        }
     if isinstance(section, MapFiles | TextFile):
         text = section.declared.metadata["help"]
         return {"type": "string", "description": f"{text}; its path relative to the study"}

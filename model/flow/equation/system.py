@@ -117,6 +117,7 @@ def assemble(
     bulk_modulus: float,
     wells: tuple[WellSite, ...],
     sides: tuple[str, ...],
+    at_side: np.ndarray | None = None,
 ) -> System:
     """Set up the flow equation.
 
@@ -127,6 +128,9 @@ def assemble(
     passes a well meets its wall. A skin S adds q μ S / (2π k) to the fall of the well's
     pressure (van Everdingen 1953, Trans. AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J.
     10, 279–290), with the permeability of the rock around the well.
+
+    In a rock that deforms every pore is an unknown, whether flow reaches it or not. Of its pores
+    between walls `at_side` (d,) then says which side holds the pressure of each, −1 none.
 
     Raises `ModelError` where a conductance or a volume is no number, or negative, or where
     nothing stores fluid.
@@ -157,6 +161,9 @@ def assemble(
     terminal = np.where(well_of >= 0, d + well_of, np.where(inside, np.arange(d), -1))
     side = _sides_of_nodes(apertures, sources_of_sides(region, sides))
     terminal[len(network.x) :][side >= 0] = d + w + side[side >= 0]
+    if at_side is not None:
+        stands = np.flatnonzero((at_side >= 0) & (well_of[: len(at_side)] < 0))
+        terminal[stands] = d + w + at_side[stands]
     held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
     held[d + w :] = np.arange(len(sides))
     held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
@@ -166,6 +173,7 @@ def assemble(
     between = held[a] >= 0
 
     moved = reached(len(held), a[free], b[free], [*a[link], *(d + k for k in rate_wells)])
+    moved |= at_side is not None
     domain = np.flatnonzero((terminal == np.arange(d)) & moved[:d])
     number = np.full(len(held), -1)
     number[domain] = np.arange(len(domain))

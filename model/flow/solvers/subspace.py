@@ -208,7 +208,7 @@ class Subspace:
     def measure(self) -> None:
         """Project anew, from the edge differences of the basis."""
         system, m = self.system, self.count
-        self._triangle = _edge_triangle(system, self._unscaled(), m)
+        self._triangle = edge_triangle(system, self._unscaled(), m)
         # or the errors of the recurrence would grow with every further vector
         self._projected[:m, :m] = self._triangle.T @ self._triangle
         self._scale()
@@ -313,7 +313,7 @@ class Basis(NamedTuple):
     stored: np.ndarray  # (m,) volume stored in each
 
 
-def _edge_triangle(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
+def edge_triangle(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
     """R of the QR decomposition of √g (u_i − u_j), √g_b u_i, so that VᵀGV = RᵀR, (m, m)."""
     triangle = np.zeros((m, m))
     edges, fixed = len(system.edge_i), len(system.fixed_node)

@@ -47,7 +47,13 @@ class Contacts(NamedTuple):
     walls: tuple[Array, ...]  # grains at left, right, bottom, top
 
 
-def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: Law) -> csc_array:
+def matrix(
+    grains: Grains,
+    contacts: Contacts,
+    bonds: BondState,
+    law: Law,
+    wall_stiffness: float | None = None,
+) -> csc_array:
     """The stiffness matrix (3 n + 2, 3 n + 2) about the present positions, over k_n.
 
     Every contact carries tension as it does compression, see `springs`.
@@ -58,7 +64,9 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: Law) -> cs
     contacts : contacts (c,) of the specimen, with their bonds
     bonds : bonds (b,)
     law : law of contact, a named tuple that chooses what is done by its type
+    wall_stiffness : of walls; None: they are as stiff as grains are
     """
+    wall_kn = law.kn if wall_stiffness is None else wall_stiffness
     n = len(grains.x)
     a, b = contacts.a, contacts.b
     dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
@@ -87,7 +95,7 @@ def matrix(grains: Grains, contacts: Contacts, bonds: BondState, law: Law) -> cs
     values.append(np.full(3 * n + 2, ANCHOR * law.kn))
     for side, held in enumerate(contacts.walls):
         at = 3 * held + side // 2
-        k = np.full(len(held), law.kn)
+        k = np.full(len(held), wall_kn)
         rows.append(at)
         columns.append(at)
         values.append(k)
@@ -141,11 +149,7 @@ def factorise(stiffness: csc_array) -> Factor:
     Raises `ModelError`, naming the grains that move together, where nothing holds some of them:
     qdldl itself stops at a pivot of exactly zero only, which round-off hardly ever leaves.
     """
-    upper = stiffness.copy()
-    keep = upper.indices <= np.repeat(np.arange(upper.shape[1]), np.diff(upper.indptr))
-    counts = np.concatenate([[0], np.cumsum(keep)])[upper.indptr]
-    upper = csc_array((upper.data[keep], upper.indices[keep], counts), shape=upper.shape)
-    lower, pivot, order = qdldl.Solver(upper, upper=True).factors()
+    lower, pivot, order = qdldl.Solver(_upper(stiffness), upper=True).factors()
     lower = csc_array(lower)
     factor = Factor(
         np.asarray(order, dtype=np.int64),
@@ -164,6 +168,32 @@ def factorise(stiffness: csc_array) -> Factor:
             f"without end, first {named}; give them bonds, friction or a larger packing stress"
         )
     return factor
+
+
+def _upper(symmetric: csc_array) -> csc_array:
+    """The upper triangle of a matrix, with its diagonal."""
+    keep = symmetric.indices <= np.repeat(np.arange(symmetric.shape[1]), np.diff(symmetric.indptr))
+    counts = np.concatenate([[0], np.cumsum(keep)])[symmetric.indptr]
+    return csc_array((symmetric.data[keep], symmetric.indices[keep], counts), shape=symmetric.shape)
+
+
+class Quasidefinite:
+    """Factor of a symmetric matrix [[K, −A], [−Aᵀ, −S]], K and S positive definite.
+
+    Such a matrix has an LDLᵀ in any order (Vanderbei 1995, SIAM J. Optim. 5, 100). Others of the
+    same pattern are factored in the same order.
+    """
+
+    def __init__(self, matrix: csc_array) -> None:
+        self._solver = qdldl.Solver(_upper(matrix), upper=True)
+
+    def update(self, matrix: csc_array) -> None:
+        """Factor another matrix that has the same entries, not the same values."""
+        self._solver.update(_upper(matrix), upper=True)
+
+    def solve(self, load: Array) -> Array:
+        """The solution (m,) for a right-hand side (m,)."""
+        return np.asarray(self._solver.solve(load))
 
 
 def moving_together(factor: Factor, eliminated: int) -> Array:

@@ -1,0 +1,140 @@
+"""The grains that bear load between walls, as a linear elastic frame: its stiffness, factored once.
+
+Every contact holds, bonded or not, about the packed state. The left and the bottom wall stand; the
+right and the top one may move. A wall stands for a mirror: what presses a grain on it is half of a
+contact between two grains, hence twice as stiff. Grains that nothing holds take no part.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import csc_array, diags_array
+
+from demflow.model.mechanics.contact.grains import Array
+from demflow.model.mechanics.specimen.rock import build_specimen
+from demflow.model.mechanics.static.load_carrying import brakes, carrying, contacts_of
+from demflow.model.mechanics.static.stiffness import (
+    ANCHOR,
+    Contacts,
+    Factor,
+    factorise,
+    matrix,
+    solve,
+    springs,
+)
+from demflow.model.network.connectivity import component_labels
+from demflow.model.network.enclosure import feet
+from demflow.model.outcome import ModelError
+from demflow.model.products import Packing
+from demflow.model.scene import Bonds
+
+WALLS = ("left", "right", "bottom", "top")
+REFINEMENTS = 1  # of each solve
+
+
+class Frame(NamedTuple):
+    """What moves, and how stiffly; lengths over the mean radius, forces over it and k_n."""
+
+    unit: float  # m: the mean radius
+    grain_count: int  # n
+    free: Array  # (m,) entries of the place (3 n + 4,) that move, see `duality.Pores`
+    stiffness: csc_array  # (m, m) K
+    between: csc_array  # (m, m) the same without walls
+    standing: csc_array  # (m, 2) force on what moves by the way of a right, a top wall that stands
+    factor: Factor
+    contacts: Contacts
+    springs: tuple[Array, Array]  # (c,) normal and shear stiffness of the contacts over k_n
+
+    def moved(self, force: Array) -> Array:
+        """Displacements (m,) under forces (m,)."""
+        found = solve(self.factor, force)
+        for _ in range(REFINEMENTS):
+            found += solve(self.factor, force - self.stiffness @ found)
+        return found
+
+    def wall(self, name: str) -> int:
+        """Where a wall stands among what moves, −1 where it does not."""
+        at = np.flatnonzero(self.free == 3 * self.grain_count + WALLS.index(name))
+        return int(at[0]) if len(at) else -1
+
+
+def frame_of(
+    packing: Packing,
+    *,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds | None,
+    held: tuple[str, ...] = (),
+) -> Frame:
+    """The frame of a packing.
+
+    Parameters
+    ----------
+    packing : grains between walls.
+    stiffness_ratio, friction : of contacts, as `mechanics.specimen.rock.build_specimen` has them.
+    bonds : cement, its modulus over k_n; None for grains that stick by friction alone.
+    held : names of the walls that stand besides the left and the bottom one.
+
+    Raises `ModelError` where nothing bears load, or parts of it are loose.
+    """
+    specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
+    grains, n = specimen.grains, len(packing.x)
+    stands = feet(packing)
+    walls = tuple(stands.grain[stands.wall == wall] for wall in range(4))
+    contacts = contacts_of(specimen)._replace(walls=walls)
+    carries = _joined(n, contacts, carrying(n, contacts))
+    if not carries.any():
+        raise ModelError(
+            "no grain bears load between the walls; raise grains.count, or lower grains.porosity"
+        )
+    kept = carries[contacts.a] & carries[contacts.b]
+    contacts = Contacts(
+        contacts.a[kept],
+        contacts.b[kept],
+        contacts.bond[kept],
+        tuple(wall[carries[wall]] for wall in walls),
+    )
+    overlap = _overlaps(grains.x, grains.y, grains.radius, contacts.a, contacts.b)
+    normal, shear, _ = springs(overlap, contacts, grains, specimen.bonds, specimen.law)
+    whole = matrix(grains, contacts, specimen.bonds, specimen.law, 2.0 * float(normal.mean()))
+    turning = np.zeros(3 * n + 2)
+    turning[2:-2:3] = specimen.law.kn * np.where(carries, brakes(grains, contacts, carries), 0.0)
+    whole = csc_array(whole + diags_array(turning - ANCHOR * specimen.law.kn))
+    moving = [name for name in ("right", "top") if name not in held]
+    own = np.flatnonzero(np.repeat(carries, 3))
+    free = np.concatenate([own, [3 * n + WALLS.index(name) for name in moving]]).astype(np.int64)
+    rows = np.concatenate([own, [3 * n + ("right", "top").index(name) for name in moving]])
+    rows = rows.astype(np.int64)
+    stiffness = csc_array(whole[rows][:, rows])
+    stands_still = np.array([float(name in held) for name in ("right", "top")])
+    none = contacts._replace(walls=(contacts.a[:0],) * 4)
+    between = matrix(grains, none, specimen.bonds, specimen.law)
+    return Frame(
+        unit=float(packing.radius.mean()),
+        grain_count=n,
+        free=free,
+        stiffness=stiffness,
+        between=csc_array(between[rows][:, rows]),
+        standing=csc_array(whole[rows][:, 3 * n + np.arange(2)] @ diags_array(stands_still)),
+        factor=factorise(stiffness),
+        contacts=contacts,
+        springs=(normal, shear),
+    )
+
+
+def _joined(n: int, contacts: Contacts, carries: Array) -> Array:
+    """Those of the grains (n,) bool that hang together with a wall."""
+    kept = carries[contacts.a] & carries[contacts.b]
+    stands = np.concatenate(contacts.walls)
+    label = component_labels(
+        n + 1,
+        np.append(contacts.a[kept], stands),
+        np.append(contacts.b[kept], np.full(len(stands), n)),
+    )
+    return carries & (label[:n] == label[n])
+
+
+def _overlaps(x: Array, y: Array, radius: Array, a: Array, b: Array) -> Array:
+    return radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])

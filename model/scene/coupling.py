@@ -1,0 +1,125 @@
+"""How fluid and rock are coupled, and what loads the specimen's walls while fluid moves."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+from demflow.model.parameters import Problems, SceneError, check_fields, parameter
+from demflow.model.region import Rectangle, Region
+from demflow.model.scene.fractures import Fracture
+from demflow.model.scene.rock import Bonds, Grains
+
+__all__ = ["Coupling", "coupling_problems"]
+
+Schedule = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Coupling:
+    """Two-way coupling: pressure moves grains, grains squeeze pores.
+
+    The region is then the specimen between its four walls, of which the left and the bottom one
+    stand. The right and the top one keep their stress, but for the changes given here.
+    """
+
+    method: str = parameter(
+        default="auto",
+        choices=("auto", "none", "linear"),
+        help="linear: grains bonded and unbroken, apertures as they are; none: fluid moves alone; "
+        "auto takes linear",
+    )
+    held: str = parameter(
+        default="none",
+        choices=("none", "right", "top", "both"),
+        help="walls that stand besides the left and the bottom one, whatever presses on them",
+    )
+    load_xx: float | None = parameter(
+        "Pa", default=None, help="stress put on the right wall at time zero, compression positive"
+    )
+    load_yy: float | None = parameter(
+        "Pa", default=None, help="stress put on the top wall at time zero, compression positive"
+    )
+    schedule_xx: Schedule | None = parameter(
+        "s, Pa", default=None, help="stress put on the right wall in time, [[time, stress], …]"
+    )
+    schedule_yy: Schedule | None = parameter(
+        "s, Pa", default=None, help="stress put on the top wall in time, [[time, stress], …]"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        problems = []
+        for axis, wall in (("xx", "right"), ("yy", "top")):
+            load, schedule = getattr(self, f"load_{axis}"), getattr(self, f"schedule_{axis}")
+            name = f"load_{axis}" if schedule is None else f"schedule_{axis}"
+            if load is not None and schedule is not None:
+                problems.append((name, f"give either load_{axis} or schedule_{axis}"))
+            if (load is not None or schedule is not None) and wall in self.held_walls:
+                what = f"the {wall} wall is held, so that no load moves it; leave one of them out"
+                problems.append((name, what))
+            problems += _schedule_problems(f"schedule_{axis}", schedule)
+        if problems:
+            raise SceneError(problems)
+
+    @property
+    def held_walls(self) -> tuple[str, ...]:
+        """Walls that stand besides the left and the bottom one."""
+        return {"none": (), "both": ("right", "top")}.get(self.held, (self.held,))
+
+    @property
+    def load_changes(self) -> tuple[Schedule, Schedule]:
+        """Times (s) and new stresses (Pa) put on the right and on the top wall."""
+        return tuple(  # type: ignore[return-value]
+            schedule if schedule is not None else ((0.0, load),) if load else ()
+            for load, schedule in (
+                (self.load_xx, self.schedule_xx),
+                (self.load_yy, self.schedule_yy),
+            )
+        )
+
+
+def _schedule_problems(name: str, schedule: Schedule | None) -> Problems:
+    if schedule is None:
+        return
+    starts = [t for t, _ in schedule]
+    if not starts:
+        yield name, "the schedule is empty"
+    elif not all(math.isfinite(v) for entry in schedule for v in entry):
+        yield name, "times and stresses must be finite"
+    elif starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
+        yield name, "times must increase, from 0 s on"
+
+
+def coupling_problems(
+    region: Region,
+    grains: Grains,
+    bonds: Bonds | None,
+    fractures: tuple[Fracture, ...],
+    *,
+    holed: bool,
+) -> Problems:
+    """What a coupled rock cannot be."""
+    if not isinstance(region, Rectangle):
+        yield (
+            "coupling",
+            "a coupled specimen stands between four walls; take region.shape rectangle",
+        )
+    if holed:
+        yield "excavate", "a coupled specimen has no holes; leave excavate or coupling out"
+    if grains.packing == "periodic":
+        what = "a periodic packing has no walls; a coupled specimen needs them, as packing: random"
+        yield "grains.packing", what
+    if grains.contact_stiffness is None:
+        yield "grains.modulus", "coupling needs modulus or normal_stiffness"
+    if grains.contact_law is not None:
+        yield "grains.contact", "coupling takes linear contacts without rolling resistance"
+    if bonds is None:
+        yield "bonds", "coupled grains are bonded; add bonds"
+    for fracture in fractures:
+        if fracture.joint is not None:
+            yield (
+                f"fractures.{fracture.name}.joint",
+                "coupling knows no smooth joints; leave it out",
+            )
