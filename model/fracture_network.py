@@ -329,7 +329,8 @@ def _tensor(lines: Sequence[Line], apertures: Array, length: Array) -> Array:
     """Σ w³ ℓ t ⊗ t / 12 over straight pieces, (2, 2) m⁴ (Oda 1985, Géotechnique 35, 483–495)."""
     along = np.array([np.subtract(line.end, line.start) for line in lines]).reshape(-1, 2)
     unit = along / np.hypot(*along.T)[:, None]
-    return np.einsum("k,ki,kj->ij", apertures**3 * length / 12.0, unit, unit)
+    found: Array = np.einsum("k,ki,kj->ij", apertures**3 * length / 12.0, unit, unit)
+    return found
 
 
 def _snow(lines: Sequence[Line], apertures: Array, region: Region) -> Array:
@@ -353,4 +354,5 @@ def _snow(lines: Sequence[Line], apertures: Array, region: Region) -> Array:
     plate, s0, s1 = clip_segments(region, middle - reach * unit, middle + reach * unit)
     chord = 2.0 * reach * np.bincount(plate, s1 - s0, minlength=len(first))
     weight = apertures[first] ** 3 * chord / 12.0
-    return np.einsum("k,ki,kj->ij", weight, unit, unit)
+    found: Array = np.einsum("k,ki,kj->ij", weight, unit, unit)
+    return found

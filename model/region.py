@@ -118,7 +118,8 @@ class Hole:
             corners = np.asarray(self.shape.vertices, dtype=float)
             part = (np.arange(_RIM_POINTS // 4) / (_RIM_POINTS // 4))[:, None, None]
             points = (corners + part * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
-        return points + np.array(self.at)
+        found: np.ndarray = points + np.array(self.at)
+        return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,11 +189,13 @@ def contains(region: Region, points: np.ndarray) -> np.ndarray:
             inside &= ~contains(hole.shape, points - np.array(hole.at))
         return inside
     if isinstance(region, Circle):
-        return np.hypot(points[:, 0], points[:, 1]) < region.radius
+        found: np.ndarray = np.hypot(points[:, 0], points[:, 1]) < region.radius
+        return found
     if isinstance(region, Rectangle):
-        return (np.abs(points[:, 0]) < 0.5 * region.width) & (
+        found = (np.abs(points[:, 0]) < 0.5 * region.width) & (
             np.abs(points[:, 1]) < 0.5 * region.height
         )
+        return found
     corners = np.asarray(region.vertices)
     (x1, y1), (x2, y2) = corners.T, np.roll(corners, -1, axis=0).T
     slanted = y1 != y2
@@ -284,9 +287,11 @@ def distance_to_rim(region: Region, points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     if isinstance(region, Pierced):
         rims = [distance_to_rim(shape, points - at) for shape, at, _ in parts_of(region)]
-        return np.min(rims, axis=0)
+        found: np.ndarray = np.min(rims, axis=0)
+        return found
     if isinstance(region, Circle):
-        return np.abs(np.hypot(points[:, 0], points[:, 1]) - region.radius)
+        found = np.abs(np.hypot(points[:, 0], points[:, 1]) - region.radius)
+        return found
     corners = np.asarray(region.vertices, dtype=float)
     edge = np.roll(corners, -1, axis=0) - corners
     squared = np.sum(edge**2, axis=1)
@@ -477,11 +482,13 @@ def _meets_an_edge(corners: np.ndarray, start: np.ndarray, end: np.ndarray) -> n
         edge = q - p
 
         def side(point: np.ndarray, p: np.ndarray = p, edge: np.ndarray = edge) -> np.ndarray:
-            return edge[0] * (point[:, 1] - p[1]) - edge[1] * (point[:, 0] - p[0])
+            found: np.ndarray = edge[0] * (point[:, 1] - p[1]) - edge[1] * (point[:, 0] - p[0])
+            return found
 
         def turn(corner: np.ndarray) -> np.ndarray:
             apart = corner - start
-            return step[:, 0] * apart[:, 1] - step[:, 1] * apart[:, 0]
+            found: np.ndarray = step[:, 0] * apart[:, 1] - step[:, 1] * apart[:, 0]
+            return found
 
         meets |= (side(start) * side(end) <= 0) & (turn(p) * turn(q) <= 0)
     return meets
@@ -523,11 +530,13 @@ def _edges_cross(corners: np.ndarray) -> bool:
 
     def turn(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
         (ux, uy), (vx, vy) = (b - a).T, (c - a).T
-        return np.sign(ux * vy - uy * vx)
+        found: np.ndarray = np.sign(ux * vy - uy * vx)
+        return found
 
     def within(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
         """Whether c, on the line a–b, lies between a and b."""
-        return np.all((np.minimum(a, b) <= c) & (c <= np.maximum(a, b)), axis=1)
+        found: np.ndarray = np.all((np.minimum(a, b) <= c) & (c <= np.maximum(a, b)), axis=1)
+        return found
 
     pqr, pqs, rsp, rsq = turn(p, q, r), turn(p, q, s), turn(r, s, p), turn(r, s, q)
     crosses = (pqr * pqs < 0) & (rsp * rsq < 0)

@@ -489,4 +489,5 @@ def simulate(scene: Scene) -> dict[str, np.ndarray]:
     A pure function: same scene, same bits. Raises `ModelError` where a stage cannot reach
     its result.
     """
-    return run_stages(scene)["observe"]
+    found: dict[str, np.ndarray] = run_stages(scene)["observe"]
+    return found

@@ -178,7 +178,7 @@ def _three_point(x: np.ndarray, values: np.ndarray, smoothing: float) -> np.ndar
     """Derivative at each x, (..., n), from the parabola through it and two points L away."""
     n = len(x)
     if n == 2:
-        slope = (values[..., 1] - values[..., 0]) / (x[1] - x[0])
+        slope: np.ndarray = (values[..., 1] - values[..., 0]) / (x[1] - x[0])
         return np.stack([slope, slope], axis=-1)
     window = smoothing * (1.0 - 1e-9)  # a neighbour that is L away but for round-off counts
     here = np.arange(n)

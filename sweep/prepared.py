@@ -81,7 +81,8 @@ class Project:
         waits = np.append(left, False)[self.plan.cases].any(axis=1)  # −1: not run
         good = (Status.DONE, Status.NOT_RUN, Status.LEFT_OUT)
         bad = [v.status not in good for v in verdicts]
-        return waits & np.array(bad, dtype=bool)
+        found: np.ndarray = waits & np.array(bad, dtype=bool)
+        return found
 
 
 def may_pass(record: Mapping[str, Any], limits: Limits) -> bool:
@@ -91,7 +92,8 @@ def may_pass(record: Mapping[str, Any], limits: Limits) -> bool:
     if which is None:
         return False
     if "room" in record:  # the machine was short, not the limit
-        return available() > MORE * record["room"]
+        found: bool = available() > MORE * record["room"]
+        return found
     then, now = record.get("limits", {}).get(which), getattr(limits, which)
     return then is None or now is None or now > then
 

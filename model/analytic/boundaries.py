@@ -111,7 +111,7 @@ def images_of_sides(
 
     if not any(bounded):
         x, y = (min(pair) for pair in pairs)
-        total = _strip(s, *pairs[0]) + _strip(s, *pairs[1])
+        total: np.ndarray = _strip(s, *pairs[0]) + _strip(s, *pairs[1])
         if not math.isinf(x.distance + y.distance):
             far = np.sqrt(s) * 2.0 * math.hypot(x.distance, y.distance)
             total = total + x.reflection * y.reflection * kve(0, far) * np.exp(-far)
@@ -150,7 +150,8 @@ def with_sides(
     """
 
     def bounded(s: np.ndarray) -> np.ndarray:
-        return transform(s) + images_of_sides(s, west, east, south, north) / s
+        found: np.ndarray = transform(s) + images_of_sides(s, west, east, south, north) / s
+        return found
 
     return bounded
 

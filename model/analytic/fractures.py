@@ -122,7 +122,8 @@ def uniform_flux_transform(x_D: float = 0.0) -> Transform:
     def transform(s: np.ndarray) -> np.ndarray:
         root = np.sqrt(s)
         arms = integral_of_K0((1.0 - x_D) * root) + integral_of_K0((1.0 + x_D) * root)
-        return 0.5 * arms / (s * root)
+        found: np.ndarray = 0.5 * arms / (s * root)
+        return found
 
     return transform
 
@@ -164,6 +165,7 @@ def finite_conductivity_transform(F_CD: float) -> Transform:
         matrix[..., n, :n] = length
         right = np.concatenate([math.pi / F_CD * middle, [1.0]])
         solved = np.linalg.solve(matrix, np.broadcast_to(right, (*s.shape, n + 1))[..., None])
-        return solved[..., n, 0] / s
+        found: np.ndarray = solved[..., n, 0] / s
+        return found
 
     return transform

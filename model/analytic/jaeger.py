@@ -39,4 +39,5 @@ def mobilised_friction(axial: np.ndarray | float, confining: float, angle: float
     angle : between the plane and the direction of σ3, rad
     """
     normal = axial * np.cos(angle) ** 2 + confining * np.sin(angle) ** 2
-    return np.arctan2(0.5 * (axial - confining) * np.sin(2.0 * angle), normal)
+    found: np.ndarray = np.arctan2(0.5 * (axial - confining) * np.sin(2.0 * angle), normal)
+    return found

@@ -49,4 +49,5 @@ def invert(transform: Transform, time: ArrayLike, nodes: int = NODES) -> np.ndar
         raise ValueError("a Laplace transform can be inverted only at times above zero")
     z, weight = _contour(nodes)
     values = transform(z / time[..., None])
-    return np.real(np.sum(weight * values, axis=-1)) / time
+    found: np.ndarray = np.real(np.sum(weight * values, axis=-1)) / time
+    return found

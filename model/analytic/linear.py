@@ -48,16 +48,19 @@ def _images(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     def wave(distance: np.ndarray) -> np.ndarray:
         # at t = 0 every distance is infinitely many widths away, but that of the side itself
         far = np.where(distance > 0, np.inf, 0.0)
-        return erfc(np.divide(distance, width, out=far, where=width > 0))
+        found: np.ndarray = erfc(np.divide(distance, width, out=far, where=width > 0))
+        return found
 
-    return np.sum(wave(place - x) - wave(place + x), axis=-1)
+    found: np.ndarray = np.sum(wave(place - x) - wave(place + x), axis=-1)
+    return found
 
 
 def _fourier(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     n = np.arange(1, _MODES + 1)
     decay = np.exp(-((n * np.pi) ** 2) * t[..., None])
     terms = (-1.0) ** n / n * decay * np.sin(n * np.pi * x[..., None])
-    return x + 2.0 / np.pi * np.sum(terms, axis=-1)
+    found: np.ndarray = x + 2.0 / np.pi * np.sum(terms, axis=-1)
+    return found
 
 
 def linear_pressure(

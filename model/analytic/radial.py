@@ -109,11 +109,13 @@ def _bounded_late(radius: np.ndarray, time: np.ndarray, R_De: float) -> np.ndarr
     reach = roots * radius[..., None]
     modes = y1(roots) * j0(reach) - j1(roots) * y0(reach)
     transient = np.sum(coefficients * modes * np.exp(-(roots**2) * time[..., None]), axis=-1)
-    return 1.0 + (transient - np.log(radius)) / np.log(R_De)
+    found: np.ndarray = 1.0 + (transient - np.log(radius)) / np.log(R_De)
+    return found
 
 
 def _bounded_early(radius: np.ndarray, time: np.ndarray, R_De: float) -> np.ndarray:
-    return invert(bounded_transform(radius[..., None], R_De), time) / np.log(R_De)
+    found: np.ndarray = invert(bounded_transform(radius[..., None], R_De), time) / np.log(R_De)
+    return found
 
 
 def bounded_transform(R: ArrayLike, R_De: float) -> Transform:
@@ -134,7 +136,8 @@ def bounded_transform(R: ArrayLike, R_De: float) -> Transform:
         at_well = _kve(1, q) * ive(0, q * R_De)
         far_image = np.exp(-q * (R_De - 1.0) - grow * (R_De - 1.0))
         at_well = at_well + ive(1, q) * _kve(0, q * R_De) * far_image
-        return (direct - reflected) / (at_well * s * q)
+        found: np.ndarray = (direct - reflected) / (at_well * s * q)
+        return found
 
     return transform
 
@@ -155,7 +158,8 @@ def closed_transform(R: ArrayLike, R_De: float) -> Transform:
         reflected = _kve(1, q * R_De) * ive(0, q * R) * image
         far_image = np.exp(-q * (R_De - 1.0) - grow * (R_De - 1.0))
         at_well = _kve(1, q) * ive(1, q * R_De) - ive(1, q) * _kve(1, q * R_De) * far_image
-        return (direct + reflected) / (at_well * s * q)
+        found: np.ndarray = (direct + reflected) / (at_well * s * q)
+        return found
 
     return transform
 
@@ -169,7 +173,8 @@ def unbounded_transform(R: ArrayLike) -> Transform:
 
     def transform(s: np.ndarray) -> np.ndarray:
         q = np.sqrt(s)
-        return _kve(0, q * R) * np.exp(-q * (R - 1.0)) / (s * q * _kve(1, q))
+        found: np.ndarray = _kve(0, q * R) * np.exp(-q * (R - 1.0)) / (s * q * _kve(1, q))
+        return found
 
     return transform
 
@@ -212,4 +217,7 @@ def line_source(R_D: ArrayLike, t_D: ArrayLike) -> np.ndarray:
     -------
     p_D = 2π k (P_i − P) / (q μ).
     """
-    return 0.5 * exp1(np.asarray(R_D, dtype=float) ** 2 / (4.0 * np.asarray(t_D, dtype=float)))
+    found: np.ndarray = 0.5 * exp1(
+        np.asarray(R_D, dtype=float) ** 2 / (4.0 * np.asarray(t_D, dtype=float))
+    )
+    return found

@@ -25,7 +25,10 @@ def excess_pressure(z_D: ArrayLike, T_v: ArrayLike) -> np.ndarray:
     """
     x = 0.5 * np.asarray(z_D, dtype=float)
     t = 0.25 * np.asarray(T_v, dtype=float)
-    return 1.0 - linear_dimensionless_pressure(x, t) - linear_dimensionless_pressure(1.0 - x, t)
+    found: np.ndarray = (
+        1.0 - linear_dimensionless_pressure(x, t) - linear_dimensionless_pressure(1.0 - x, t)
+    )
+    return found
 
 
 def consolidation_degree(T_v: ArrayLike) -> np.ndarray:

@@ -75,4 +75,5 @@ def horner_time(shut_in: ArrayLike, production: float) -> np.ndarray:
     production : t_p, s.
     """
     shut_in = np.asarray(shut_in, dtype=float)
-    return (production + shut_in) / shut_in
+    found: np.ndarray = (production + shut_in) / shut_in
+    return found

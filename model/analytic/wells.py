@@ -45,7 +45,8 @@ def closed_circle_pseudo_steady(R_D: ArrayLike, t_D: ArrayLike, R_De: float) -> 
     R, t = np.asarray(R_D, dtype=float), np.asarray(t_D, dtype=float)
     E2 = R_De**2
     constant = (3.0 * E2**2 - 4.0 * E2**2 * math.log(R_De) - 2.0 * E2 - 1.0) / (4.0 * (E2 - 1.0))
-    return (2.0 * (0.25 * R**2 + t) - E2 * np.log(R) - constant) / (E2 - 1.0)
+    found: np.ndarray = (2.0 * (0.25 * R**2 + t) - E2 * np.log(R) - constant) / (E2 - 1.0)
+    return found
 
 
 def tunnel_inflow(

@@ -120,7 +120,8 @@ def pore_volumes(pores: Pores, place: Array) -> Array:
     """Volumes (d,) of the pores, m³ per metre of depth, with grains and walls at a place."""
     x, y = place[pores.row_x], place[pores.row_y]
     void: Array = measure_faces(pores.start, pores.corner, x, y, pores.radius)[3]
-    return void - pores.floating
+    found: Array = void - pores.floating
+    return found
 
 
 def volume_gradient(pores: Pores, place: Array, lengths: str = "chord") -> csr_array:

@@ -25,7 +25,8 @@ def stressed_aperture(w0: np.ndarray, force: np.ndarray, half_force: Any) -> np.
     force : F ≥ 0, compressive, (p,) N per metre of depth
     half_force : F0, (p,) or one, N per metre of depth
     """
-    return w0 * half_force / (force + half_force)
+    found: np.ndarray = w0 * half_force / (force + half_force)
+    return found
 
 
 def parted_aperture(w0: np.ndarray, gap: np.ndarray, gap_factor: float) -> np.ndarray:
@@ -407,4 +408,5 @@ def _volumes(
     volume[giving] = own[giving]
     np.add.at(volume, j[gives], parts[i[gives]])
     # a stretch of zero length would leave a pore without storage
-    return np.maximum(volume, 1e-6 * network.volume.mean())
+    found: np.ndarray = np.maximum(volume, 1e-6 * network.volume.mean())
+    return found

@@ -21,7 +21,8 @@ def component_labels(n: int, a: np.ndarray, b: np.ndarray) -> np.ndarray:
     if n == 0:
         return np.empty(0, dtype=np.int64)
     graph = coo_array((np.ones(len(a)), (a, b)), shape=(n, n))
-    return connected_components(graph, directed=False)[1]
+    found: np.ndarray = connected_components(graph, directed=False)[1]
+    return found
 
 
 def reached(

@@ -287,4 +287,5 @@ def _cross(p: int, q: int, r: int, s: int, x: Array, y: Array) -> bool:
     d2 = (x[q] - x[p]) * (y[s] - y[p]) - (y[q] - y[p]) * (x[s] - x[p])
     d3 = (x[s] - x[r]) * (y[p] - y[r]) - (y[s] - y[r]) * (x[p] - x[r])
     d4 = (x[s] - x[r]) * (y[q] - y[r]) - (y[s] - y[r]) * (x[q] - x[r])
-    return d1 * d2 < 0.0 and d3 * d4 < 0.0
+    found: bool = d1 * d2 < 0.0 and d3 * d4 < 0.0
+    return found

@@ -103,7 +103,8 @@ class Exponential:
 
     def biased(self, rng: np.random.Generator, count: int) -> Array:
         """Lengths (count,) in m with density ∝ ℓ times this law's: the sum of two of them."""
-        return self.draw(rng, count) + self.draw(rng, count)
+        found: Array = self.draw(rng, count) + self.draw(rng, count)
+        return found
 
 
 @dataclass(frozen=True, slots=True)

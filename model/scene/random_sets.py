@@ -114,7 +114,8 @@ def segments(drawing: Drawing, region: Region) -> tuple[Array, Array]:
             length[biased] = drawing.length.biased(lengths, longer)
 
         def centres(k: Array, along: Array) -> Array:
-            return centre + _in_stadium(radius, length[k], along, biased[k], place)
+            found: Array = centre + _in_stadium(radius, length[k], along, biased[k], place)
+            return found
 
     angle = draw(drawing.angle, angles, n)
     along = np.column_stack([np.cos(angle), np.sin(angle)])
@@ -154,4 +155,5 @@ def _in_stadium(
     caps = disc + 0.5 * (side * length)[:, None] * along
     across = np.column_stack([-along[:, 1], along[:, 0]])
     inner = (u[:, :1] - 0.5) * length[:, None] * along + radius * (2.0 * u[:, 1:] - 1.0) * across
-    return np.where(straight[:, None], inner, caps)
+    found: Array = np.where(straight[:, None], inner, caps)
+    return found

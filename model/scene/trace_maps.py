@@ -192,10 +192,12 @@ def _centroid(vertices: Array, first: Array) -> Array:
     _, a = pieces(first)
     length = np.hypot(*(vertices[a + 1] - vertices[a]).T)
     if length.sum() == 0.0:
-        return vertices.mean(axis=0)
+        found: Array = vertices.mean(axis=0)
+        return found
     origin = vertices[0]
     middle = 0.5 * (vertices[a] + vertices[a + 1]) - origin
-    return origin + np.average(middle, axis=0, weights=length)
+    found = origin + np.average(middle, axis=0, weights=length)
+    return found
 
 
 def _faults(vertices: Array, first: Array, feature: Array) -> Iterator[str]:

@@ -138,7 +138,8 @@ def bin_means(place: np.ndarray, values: np.ndarray, edges: np.ndarray) -> np.nd
     chosen[inside, member[inside]] = 1.0
     count = chosen.sum(axis=0)
     total = values @ chosen
-    return np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    found: np.ndarray = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
+    return found
 
 
 def spread(values: np.ndarray) -> float:

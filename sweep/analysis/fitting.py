@@ -44,7 +44,8 @@ class Free(NamedTuple):
     def value(self, u: float) -> float:
         """From 0 to 1 to its value."""
         if self.logarithmic:
-            return self.low * (self.high / self.low) ** u
+            found: float = self.low * (self.high / self.low) ** u
+            return found
         return self.low + (self.high - self.low) * u
 
     def place(self, value: float) -> float:
@@ -382,7 +383,8 @@ def _end(
             break
         e, best = excess(reach, at_inside)
         if abs(e) < 0.02:
-            return u[k] + way * reach
+            result: float = u[k] + way * reach
+            return result
         if e < 0.0:
             inside, at_inside, e_inside = reach, best, e
         else:

@@ -43,7 +43,8 @@ class LinearComparison(NamedTuple):
     @property
     def rms(self) -> np.ndarray:
         """RMS of computed − expected over times and bins, (c,), in units of P_1 − P_2."""
-        return np.sqrt(np.nanmean((self.computed - self.expected) ** 2, axis=(1, 2)))
+        found: np.ndarray = np.sqrt(np.nanmean((self.computed - self.expected) ** 2, axis=(1, 2)))
+        return found
 
 
 class _Sample(NamedTuple):

@@ -50,13 +50,15 @@ class RadialComparison(NamedTuple):
     @property
     def error(self) -> np.ndarray:
         """Relative error of the well's P_D, (c, t)."""
-        return self.well / self.expected - 1.0
+        found: np.ndarray = self.well / self.expected - 1.0
+        return found
 
     @property
     def steady_error(self) -> np.ndarray:
         """Relative error of the fall of pressure at the last time against Thiem's, (c,)."""
         fall = self.initial - self.expected_steady
-        return (self.initial - self.steady_pressure) / fall - 1.0
+        found: np.ndarray = (self.initial - self.steady_pressure) / fall - 1.0
+        return found
 
 
 def compare_radial(

@@ -131,4 +131,7 @@ def fitted_permeability(dataset: xr.Dataset, viscosity: xr.DataArray | float) ->
         vectorize=True,
         output_dtypes=[float],
     )
-    return fitted.assign_attrs(units="m2", long_name="permeability from the radial plateau")
+    found: xr.DataArray = fitted.assign_attrs(
+        units="m2", long_name="permeability from the radial plateau"
+    )
+    return found

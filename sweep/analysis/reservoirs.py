@@ -180,7 +180,8 @@ class Response:
         if not np.all(found > 0.0):
             raise ValueError("the response is not positive")
         spline = CubicSpline(np.log(self.grid), np.log(found))
-        return np.exp(spline(np.log(self.lags)))
+        result: np.ndarray = np.exp(spline(np.log(self.lags)))
+        return result
 
 
 class Superposed:

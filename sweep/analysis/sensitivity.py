@@ -269,7 +269,8 @@ def _largest(x: _Box, other: _Box, y: _Box, r: float, m: float) -> Array:
     """Largest of (X − Y)² − r ((X − m)² + (O − m)²) at each point (n, d), for 0 ≤ r ≤ 1."""
     ends = [(p - q) ** 2 - r * (p - m) ** 2 for p in x for q in y]
     near = np.clip(m, *other)
-    return np.maximum.reduce(ends) - r * (near - m) ** 2
+    found: Array = np.maximum.reduce(ends) - r * (near - m) ** 2
+    return found
 
 
 def _least(x: _Box, other: _Box, y: _Box, r: float, m: float) -> Array:
@@ -281,7 +282,8 @@ def _least(x: _Box, other: _Box, y: _Box, r: float, m: float) -> Array:
             tried += [np.clip((q - r * m) / (1.0 - r), *x)]
     values = [(p - np.clip(p, *y)) ** 2 - r * (p - m) ** 2 for p in tried]
     far = np.maximum(*((o - m) ** 2 for o in other))
-    return np.minimum.reduce(values) - r * far
+    found: Array = np.minimum.reduce(values) - r * far
+    return found
 
 
 def _root(grid: Array, flat: Array) -> Array:
@@ -355,7 +357,8 @@ def _interval(
 def _means(terms: Array, weights: Array) -> Array:
     """Weighted means over the points of terms (n, d, m), (resamples, d, m)."""
     flat = terms.reshape(len(terms), -1)
-    return (weights @ flat / len(terms)).reshape(len(weights), *terms.shape[1:])
+    found: Array = (weights @ flat / len(terms)).reshape(len(weights), *terms.shape[1:])
+    return found
 
 
 def _variance_of_each(box: _Box, weights: Array) -> tuple[Array, Array]:

@@ -99,7 +99,8 @@ def _compiles(unknown: list[str]) -> bool:
 def _dataset(plan: Plan) -> float:
     """Bytes of the dataset, whose variables are what is observed of every case."""
     observed = (runs[plan.observed] for runs in plan.cases)
-    return sum(plan.runs[run].kind.bytes_kept for run in observed if run >= 0)
+    found: float = sum(plan.runs[run].kind.bytes_kept for run in observed if run >= 0)
+    return found
 
 
 def _short_of(least: dict[str, float], worker: float, limits: Limits, store: Path) -> Iterator[str]:

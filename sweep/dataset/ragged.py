@@ -88,10 +88,12 @@ class Ragged:
             variable.setncatts(quantity_attributes(RAGGED[dimension]))
             variable.setncattr("sample_dimension", dimension)
             variable[...] = 0
-        return self.file[name]
+        found: netCDF4.Variable[Any] = self.file[name]
+        return found
 
     def _variable(self, name: str, dimension: str) -> netCDF4.Variable[Any]:
         if name not in self.file.variables:
             variable = self.file.createVariable(name, "f8", (dimension,), fill_value=np.nan)
             variable.setncatts(quantity_attributes(CASE[name]))
-        return self.file[name]
+        found: netCDF4.Variable[Any] = self.file[name]
+        return found

@@ -165,7 +165,8 @@ class Writer:
     def _variable(self, name: str, quantity: Quantity) -> netCDF4.Variable[Any]:
         """The variable of a quantity, made when it is first needed."""
         if name in self.file.variables:
-            return self.file[name]
+            found: netCDF4.Variable[Any] = self.file[name]
+            return found
         dimensions = tuple(d for d in quantity.dimensions if self._dimension(d))
         kind, fill = (TEXT, False) if quantity.text else ("f8", math.nan)
         variable = self.file.createVariable(name, kind, (*self.axes, *dimensions), fill_value=fill)

@@ -108,6 +108,7 @@ class LocalPool(Pool):
 
     async def look(self) -> Mapping[str, Mapping[str, Any]]:
         """Workers that are there. Raises RunError where none can be started."""
+        found: Mapping[str, Mapping[str, Any]]
         found = self.cluster.scheduler.identity()["workers"]
         self._started = self._started or bool(found)
         self._replace_fallen()

@@ -300,7 +300,8 @@ class _Execution:
                 if any(sent.status in GONE for sent in files.values()):
                     self.lots.forget()
                     return []  # its runs wait again
-            return await answer
+            found: list[Outcome] = await answer
+            return found
         except NoAnswerError:
             raise
         except OSError as error:

@@ -190,16 +190,20 @@ def _difference(panel: Axes, x: np.ndarray, percent: np.ndarray, colour: str) ->
 def _mean(values: np.ndarray) -> np.ndarray:
     """Mean over cases, of those that have pores in the bin; NaN where none has."""
     count = np.sum(np.isfinite(values), axis=0)
-    return np.divide(
+    found: np.ndarray = np.divide(
         np.nansum(values, axis=0), count, out=np.full(len(count), np.nan), where=count > 0
     )
+    return found
 
 
 def _deviation(values: np.ndarray) -> np.ndarray:
     """Standard deviation over the cases that have pores in the bin; 0 for a single one."""
     count = np.sum(np.isfinite(values), axis=0)
     squares = np.nansum((values - _mean(values)) ** 2, axis=0)
-    return np.sqrt(np.divide(squares, count - 1, out=np.zeros(len(count)), where=count > 1))
+    found: np.ndarray = np.sqrt(
+        np.divide(squares, count - 1, out=np.zeros(len(count)), where=count > 1)
+    )
+    return found
 
 
 def _cases(count: int) -> str:

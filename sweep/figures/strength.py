@@ -57,7 +57,8 @@ def _means(rows: np.ndarray) -> np.ndarray:
     """Mean of each row, of its values that are there; NaN where none is."""
     count = np.count_nonzero(np.isfinite(rows), axis=1)
     total = np.nansum(rows, axis=1)
-    return np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0)
+    found: np.ndarray = np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0)
+    return found
 
 
 def _places(dataset: xr.Dataset, axis: str, count: int) -> tuple[np.ndarray, str]:

@@ -118,7 +118,8 @@ def legend_text(text: str) -> str:
 def shades(name: str, count: int) -> np.ndarray:
     """Colours of one family from light to dark, (count, 4); a single one is dark."""
     place = np.linspace(0.45, 0.95, count) if count > 1 else np.array([0.8])
-    return matplotlib.colormaps[name](place)
+    found: np.ndarray = matplotlib.colormaps[name](place)
+    return found
 
 
 def sequence(count: int) -> np.ndarray:

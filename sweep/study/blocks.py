@@ -69,7 +69,8 @@ class Block(Section):
         if not isinstance(node, Mapping):
             keys = ", ".join(self.members)
             reading.report(node.place, f"{where(path)} is a mapping with the keys {keys}", path)
-            return self.stand_in()
+            found: dict[str, Any] = self.stand_in()
+            return found
         values: dict[str, Any] = {}
         meant: set[str | None] = set()  # keys that misspelt ones stand for
         for key, value in node.entries.items():
@@ -232,7 +233,8 @@ class Forms(Section):
         yield from self._form(values).paths(values, path)
 
     def _form(self, values: Any) -> Block:
-        return self.blocks[values.get(FORM, 0)]
+        found: Block = self.blocks[values.get(FORM, 0)]
+        return found
 
     def _known(self, keys: set[str]) -> list[int]:
         """The forms by how many of the keys they know, most first; then in their order."""
@@ -337,7 +339,8 @@ class Named(Section):
             return self.inner.find(None, parts[1:])
         if parts[0] not in (values or {}):
             raise NoParameter
-        return self.inner.find(values[parts[0]], parts[1:])
+        found: Parameter = self.inner.find(values[parts[0]], parts[1:])
+        return found
 
     def paths(self, values: Any, path: str) -> Iterator[str]:
         """The paths of every name."""

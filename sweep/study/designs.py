@@ -59,7 +59,8 @@ def design(method: str, dimensions: int, count: int, seed: int) -> np.ndarray:
         points = np.concatenate([a[:, None], b[:, None], mixed], axis=1)
     else:
         points = np.array([_trajectory(dimensions, seed, number) for number in range(count)])
-    return np.clip(points.reshape(-1, dimensions), _EDGE, 1.0 - _EDGE)
+    found: np.ndarray = np.clip(points.reshape(-1, dimensions), _EDGE, 1.0 - _EDGE)
+    return found
 
 
 def _sobol(dimensions: int, count: int, seed: int) -> np.ndarray:

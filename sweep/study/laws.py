@@ -72,13 +72,15 @@ class Law:
             return np.asarray(low + (high + (1 if self.whole else 0) - low) * u)
         if self.kind == "log_uniform":
             low, high = np.log(self.numbers)
-            return np.exp(low + (high - low) * u)
+            found: np.ndarray = np.exp(low + (high - low) * u)
+            return found
         if self.kind == "triangular":
             low, mode, high = self.numbers
             turn = (mode - low) / (high - low)
             rising = low + np.sqrt(u * (high - low) * (mode - low))
             falling = high - np.sqrt((1.0 - u) * (high - low) * (high - mode))
-            return np.where(u < turn, rising, falling)
+            found = np.where(u < turn, rising, falling)
+            return found
         return self._normal(u)
 
     def _normal(self, u: np.ndarray) -> np.ndarray:

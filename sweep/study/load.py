@@ -430,7 +430,7 @@ def _scene_values(
         reading.unreadable.add("")
         if "scene" not in meant:
             reading.report(reading.places[""], "the study lacks 'scene', what is to be modelled")
-        values = inside.stand_in()
+        values: dict[str, Any] = inside.stand_in()
     else:
         values = inside.read(scene, "", reading)
     for key in ("observe", "solver"):

@@ -284,7 +284,8 @@ def _spikes(
 
     def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
         share = (time[here] - time[a]) / (time[b] - time[a])
-        return pressure[a] + share * (pressure[b] - pressure[a])
+        found: np.ndarray = pressure[a] + share * (pressure[b] - pressure[a])
+        return found
 
     near, far = between(here - 1, here + 1), between(here - 2, here + 2)
     off = np.abs(pressure[here] - near)
@@ -302,7 +303,8 @@ def _spikes(
     for start, _ in changes or ():
         beside = np.searchsorted(time, start)
         found &= np.abs(here - beside) > 3
-    return here[found]
+    result: np.ndarray = here[found]
+    return result
 
 
 def _gaps(time: np.ndarray, lines: np.ndarray, word: str) -> list[str]:

@@ -136,12 +136,14 @@ class Parameter(Section):
     @property
     def unit(self) -> str:
         """SI unit; "1" where there is none."""
-        return self.declared.metadata.get("unit", "1")
+        found: str = self.declared.metadata.get("unit", "1")
+        return found
 
     @property
     def help(self) -> str:
         """One line for a user."""
-        return self.declared.metadata.get("help", "")
+        found: str = self.declared.metadata.get("help", "")
+        return found
 
     @property
     def choices(self) -> tuple[str, ...] | None:

@@ -217,6 +217,8 @@ class _Reader:
         # numbers that differ by round-off are the same
         same = np.isclose(a, b, rtol=1e-9, atol=0.0)
         if sign in ("==", "!="):
-            return same if sign == "==" else ~same & ~np.isnan(a - b)
+            found: np.ndarray = same if sign == "==" else ~same & ~np.isnan(a - b)
+            return found
         strict = np.asarray(_TRUTHS[sign](a, b))
-        return (strict | same) if sign.endswith("=") else (strict & ~same)
+        found = (strict | same) if sign.endswith("=") else (strict & ~same)
+        return found

@@ -30,11 +30,13 @@ class Algebraic(NamedTuple):
     def reduce_source(self, rhs: np.ndarray) -> np.ndarray:
         """Source on the pores alone that acts as `rhs` (n,) does, (pores,)."""
         pores = self.coupling.shape[1]
-        return rhs[:pores] + self.coupling.T @ (self.inverse @ rhs[pores:])
+        found: np.ndarray = rhs[:pores] + self.coupling.T @ (self.inverse @ rhs[pores:])
+        return found
 
     def direct(self, rhs: np.ndarray) -> np.ndarray:
         """What `rhs` (n,) adds to the wells by itself, (w,) Pa."""
-        return self.inverse @ rhs[self.coupling.shape[1] :]
+        found: np.ndarray = self.inverse @ rhs[self.coupling.shape[1] :]
+        return found
 
 
 def algebraic(system: System) -> Algebraic:

@@ -98,4 +98,5 @@ def mobility_around(
         end_share, area = 0.5 * measured[ends], float(network.area[near[measured]].sum())
     mobility = drop.T @ ((share * g)[:, None] * drop)
     mobility += end_drop.T @ ((end_share * end_g)[:, None] * end_drop)
-    return 0.5 * (mobility + mobility.T) / area
+    found: np.ndarray = 0.5 * (mobility + mobility.T) / area
+    return found

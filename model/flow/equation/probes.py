@@ -135,7 +135,8 @@ def _parts(places: np.ndarray, point: np.ndarray) -> np.ndarray:
     distance = np.linalg.norm(offset, axis=1)
     size = distance.max()
     if size == 0.0 or len(places) == 1:
-        return np.eye(len(places))[0]
+        found: np.ndarray = np.eye(len(places))[0]
+        return found
     rows = np.vstack(
         [EXACTLY * offset.T / size, EXACTLY**2 * np.ones(len(places)), np.diag(distance / size)]
     )

@@ -84,7 +84,10 @@ class System(NamedTuple):
 
     def reached(self, domains: np.ndarray) -> np.ndarray:
         """Which domains have a pressure that some source moves, as a mask."""
-        return (self.node_of_domain[domains] >= 0) | (self.source_of_domain[domains] >= 0)
+        found: np.ndarray = (self.node_of_domain[domains] >= 0) | (
+            self.source_of_domain[domains] >= 0
+        )
+        return found
 
     def source(self, index: int) -> np.ndarray:
         """Right-hand side for a unit of one source, (n,): 1 Pa, or 1 m³/s produced.
@@ -106,7 +109,8 @@ class System(NamedTuple):
         flow = self.edge_g * (pressure[self.edge_j] - pressure[self.edge_i])
         net = np.bincount(self.edge_i, weights=flow, minlength=self.n)
         net -= np.bincount(self.edge_j, weights=flow, minlength=self.n)
-        return net - self.excess * pressure
+        found: np.ndarray = net - self.excess * pressure
+        return found
 
 
 def assemble(

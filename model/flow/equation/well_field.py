@@ -31,7 +31,8 @@ class WellField(NamedTuple):
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Distance from the axis in the coordinates in which the rock is isotropic, (n,) m."""
-        return np.linalg.norm((points - self.at) @ self.scale.T, axis=1)
+        found: np.ndarray = np.linalg.norm((points - self.at) @ self.scale.T, axis=1)
+        return found
 
     def at_points(self, points: np.ndarray) -> np.ndarray:
         """Pressure u at points (n, 2) m, (n,)."""
@@ -41,7 +42,8 @@ class WellField(NamedTuple):
         focus = np.sqrt(max(a * a - b * b, 0.0))
         root = np.sqrt(z - focus + 0j) * np.sqrt(z + focus + 0j)
         own = np.log(np.maximum(np.abs(z + root) / 2, 0.5 * (a + b)) / self.reach)
-        return own + self._of_images(place)
+        found: np.ndarray = own + self._of_images(place)
+        return found
 
     @property
     def at_wall(self) -> float:
@@ -53,7 +55,8 @@ class WellField(NamedTuple):
         if len(self.image) == 0:
             return np.zeros(len(place))
         distance = np.linalg.norm(place[:, None, :] - self.image, axis=2)
-        return np.log(distance / self.reach) @ self.sign
+        found: np.ndarray = np.log(distance / self.reach) @ self.sign
+        return found
 
 
 def well_field(

@@ -296,7 +296,8 @@ def _tilt(flow: np.ndarray, end: np.ndarray, axis: np.ndarray) -> np.ndarray:
     offset = end - middle
     spread = offset.T @ (flow[:, None] * offset) / total
     slope = np.linalg.lstsq(spread, axis - middle, rcond=1e-6)[0]
-    return np.clip(1.0 + offset @ slope, LEAST_TILT, 1.0 / LEAST_TILT)
+    found: np.ndarray = np.clip(1.0 + offset @ slope, LEAST_TILT, 1.0 / LEAST_TILT)
+    return found
 
 
 class Surroundings(NamedTuple):

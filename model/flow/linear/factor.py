@@ -82,7 +82,8 @@ def solve(factor: Factor, rhs: np.ndarray) -> np.ndarray:
         _substitute(*fronts, symbolic.widest, factor.lower, factor.pivot, x)
     else:
         _substitute_several(*fronts, factor.lower, factor.pivot, x)
-    return x[symbolic.rank]
+    found: np.ndarray = x[symbolic.rank]
+    return found
 
 
 @kernel

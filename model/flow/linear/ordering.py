@@ -74,7 +74,8 @@ def minimum_degree(graph: Graph, room: float = 1.25) -> np.ndarray:
     start, neighbour = renumbered(graph, nearby)
     entry = np.empty(int(room * len(neighbour)) + n + 1, dtype=np.int32)
     entry[: len(neighbour)] = neighbour
-    return nearby[_eliminate(start, entry)]
+    found: np.ndarray = nearby[_eliminate(start, entry)]
+    return found
 
 
 @kernel

@@ -55,7 +55,8 @@ def fastest_decay(system: System, wells: Algebraic) -> float:
 
     def apply(scaled: np.ndarray) -> np.ndarray:
         full = wells.lift(np.ravel(scaled) / root)
-        return -_net_flow(system, np.zeros(system.n), full)[:pores] / root
+        found: np.ndarray = -_net_flow(system, np.zeros(system.n), full)[:pores] / root
+        return found
 
     if pores < 30:
         matrix = np.column_stack([apply(unit) for unit in np.eye(pores)])
@@ -183,7 +184,8 @@ def _net_flow(system: System, rhs: np.ndarray, p: np.ndarray) -> np.ndarray:
     flow = system.edge_g * (p[system.edge_i] - p[system.edge_j])
     net = rhs - system.excess * p
     net = net - np.bincount(system.edge_i, weights=flow, minlength=system.n)
-    return net + np.bincount(system.edge_j, weights=flow, minlength=system.n)
+    found: np.ndarray = net + np.bincount(system.edge_j, weights=flow, minlength=system.n)
+    return found
 
 
 def _record(

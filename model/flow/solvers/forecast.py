@@ -60,7 +60,8 @@ def course(problem: Problem) -> Course:
 
 
 def _power(law: tuple[float, float], n: int) -> float:
-    return law[0] * n ** law[1]
+    found: float = law[0] * n ** law[1]
+    return found
 
 
 def _window(problem: Problem) -> tuple[float, float, float]:

@@ -379,7 +379,8 @@ def _let_in(problem: Problem, source: int, step: Step, weights: np.ndarray) -> n
     records = problem.records
     flows = slice(records.well_rows, records.well_rows + records.flow_rows)
     mean = records.rows @ (weights @ step.value) + weights.sum() * records.direct[source]
-    return step.size * mean[flows]
+    found: np.ndarray = step.size * mean[flows]
+    return found
 
 
 class _Gauge:

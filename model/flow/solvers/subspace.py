@@ -203,7 +203,8 @@ class Subspace:
     def fields(self, coefficients: np.ndarray) -> np.ndarray:
         """Pressure of the pores (l, pores) of coefficients of the basis (l, k)."""
         k = coefficients.shape[1]
-        return (coefficients @ self._space[: self.system.pores, :k].T) / self.root
+        found: np.ndarray = (coefficients @ self._space[: self.system.pores, :k].T) / self.root
+        return found
 
     def measure(self) -> None:
         """Project anew, from the edge differences of the basis."""

@@ -65,7 +65,8 @@ def scaled_mass(radius: Array, stiffness: Array | float, step: float) -> Array:
     """
     least = radius.min()
     room = np.pi / np.arcsin(least / (radius + least))
-    return (2.0 * step) ** 2 * stiffness * np.maximum(1.0, room / 6.0)
+    found: Array = (2.0 * step) ** 2 * stiffness * np.maximum(1.0, room / 6.0)
+    return found
 
 
 def along_strips(x: Array, y: Array, height: float) -> Array:

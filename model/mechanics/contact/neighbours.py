@@ -214,4 +214,5 @@ def largest_displacement(grains: Grains, pairs: Pairs, stretch_x: float, stretch
         dx = grains.x[i] - stretch_x * pairs.x[i]
         dy = grains.y[i] - stretch_y * pairs.y[i]
         largest = max(largest, dx * dx + dy * dy)
-    return np.sqrt(largest)
+    found: float = np.sqrt(largest)
+    return found

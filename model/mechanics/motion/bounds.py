@@ -23,7 +23,8 @@ class Walls(NamedTuple):
 @by_type
 def walls_of(bounds: Any) -> Array:
     """Walls (4,) that grains touch."""
-    return bounds.box
+    found: Array = bounds.box
+    return found
 
 
 @by_type

@@ -70,7 +70,8 @@ def advanced(servo: Servo, wanted_xx: float, wanted_yy: float, ratio: float) -> 
     wanted_yy : stress yy that is wanted now, over k_n
     ratio : mean unbalanced force over what the run allows at its end
     """
-    return servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + ratio / servo.calm)
+    found: float = servo.pace * np.sqrt(min(wanted_xx, wanted_yy)) / (1.0 + ratio / servo.calm)
+    return found
 
 
 @kernel
@@ -233,4 +234,5 @@ def oscillates(
                 swings[k, 3] += 1.0
             swings[k, 1] = 0.0
         swings[k, 0], swings[k, 1] = error, max(swings[k, 1], abs(error))
-    return max(swings[0, 3], swings[1, 3]) >= SWINGS
+    found: bool = max(swings[0, 3], swings[1, 3]) >= SWINGS
+    return found

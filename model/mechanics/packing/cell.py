@@ -215,7 +215,8 @@ class Cell(Assembly):
         n = len(self.grains.x)
         a, other = listed(self.pairs)
         owner, shift = self._owners(other, n)
-        return ((a * n + owner) * 3 + shift[:, 0] + 1) * 2 + shift[:, 1]
+        found: Array = ((a * n + owner) * 3 + shift[:, 0] + 1) * 2 + shift[:, 1]
+        return found
 
     def _list_pairs(self) -> None:
         """As every assembly does, with images made anew."""

@@ -53,7 +53,8 @@ def _covered(x: Array, y: Array, radius: Array, grains: Array, placed: Array) ->
     """Which of some grains (g,) overlap a placed one: bool (g,)."""
     gap = np.hypot(x[grains, None] - x[placed], y[grains, None] - y[placed])
     gap -= radius[grains, None] + radius[placed]
-    return np.any(gap < -1e-9 * radius.mean(), axis=1)
+    found: Array = np.any(gap < -1e-9 * radius.mean(), axis=1)
+    return found
 
 
 def _place(

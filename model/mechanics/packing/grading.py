@@ -105,7 +105,10 @@ def strew(grading: Grading, size: Array, share: float, rng: np.random.Generator)
     reached = np.cumsum(density) * size.prod() / (CELLS * CELLS * share)
     n = max(4, round(float(reached[-1])))
     cell = np.searchsorted(reached, (np.arange(n) + rng.random(n)) * reached[-1] / n)
-    return (corner[np.minimum(cell, len(number) - 1)] + rng.random((n, 2)) / CELLS - 0.5) * size
+    found: Array = (
+        corner[np.minimum(cell, len(number) - 1)] + rng.random((n, 2)) / CELLS - 0.5
+    ) * size
+    return found
 
 
 def _spread(number: Array) -> Array:

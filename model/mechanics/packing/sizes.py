@@ -70,7 +70,8 @@ def _log_normal(deviation: float, quantile: Array) -> Array:
     tail = 0.5 * (1.0 - _within(CUT))
     centre = (np.arange(QUANTILES) + 0.5) / QUANTILES
     mean = np.exp(deviation * ndtri(tail + centre * (1.0 - 2.0 * tail))).mean()
-    return np.exp(deviation * ndtri(tail + quantile * (1.0 - 2.0 * tail))) / mean
+    found: Array = np.exp(deviation * ndtri(tail + quantile * (1.0 - 2.0 * tail))) / mean
+    return found
 
 
 def _within(z: float) -> float:

@@ -55,7 +55,7 @@ def body_of(specimen: Specimen) -> Body:
     lines = specimen.lines
     rows = [[*trace.start, *trace.end, *trace[2:]] for trace in lines.traces]
     none = np.empty(0)
-    return _copied(
+    found: Body = _copied(
         Body(
             grains=specimen.grains,
             pairs=specimen.pairs,
@@ -81,6 +81,7 @@ def body_of(specimen: Specimen) -> Body:
             opening=none if specimen.opening is None else specimen.opening,
         )
     )
+    return found
 
 
 def specimen_of(body: Body, law: Law) -> Specimen:

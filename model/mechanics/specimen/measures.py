@@ -29,7 +29,8 @@ def overlaps(x: Array, y: Array, radius: Array, a: Array, b: Array) -> Array:
     a : first grain of each contact, (c,)
     b : second grain of each contact, (c,)
     """
-    return radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])
+    found: Array = radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])
+    return found
 
 
 def contact_counts(x: Array, y: Array, radius: Array, box: Array, a: Array, b: Array) -> Array:
@@ -49,7 +50,8 @@ def contact_counts(x: Array, y: Array, radius: Array, box: Array, a: Array, b: A
         + (y - radius < box[2])
         + (y + radius > box[3])
     )
-    return walls + np.bincount(a, minlength=len(x)) + np.bincount(b, minlength=len(x))
+    found: Array = walls + np.bincount(a, minlength=len(x)) + np.bincount(b, minlength=len(x))
+    return found
 
 
 def porosity(x: Array, y: Array, radius: Array, box: Array) -> float:
@@ -84,7 +86,8 @@ def _corner_area(a: Array, b: Array) -> Array:
     whole = np.select(
         [(a >= 0) & (b >= 0), a >= 0, b >= 0], [half_a + half_b - np.pi, half_b, half_a], 0.0
     )
-    return np.where(a * a + b * b < 1.0, cut, whole)
+    found: Array = np.where(a * a + b * b < 1.0, cut, whole)
+    return found
 
 
 def fabric(x: Array, y: Array, a: Array, b: Array) -> Array:
@@ -98,7 +101,8 @@ def fabric(x: Array, y: Array, a: Array, b: Array) -> Array:
     """
     dx, dy = x[b] - x[a], y[b] - y[a]
     normal = np.column_stack([dx, dy]) / np.maximum(np.hypot(dx, dy), 1e-300)[:, None]
-    return normal.T @ normal / max(len(a), 1)
+    found: Array = normal.T @ normal / max(len(a), 1)
+    return found
 
 
 def packing_quality(packing: Packing) -> dict[str, Array]:
@@ -138,7 +142,8 @@ def affine_strain(x: Array, y: Array, u: Array, v: Array) -> Array:
     if rank < 3:
         raise ValueError("a strain needs three grains that do not lie on a line")
     gradient = found[1:].T
-    return 0.5 * (gradient + gradient.T)
+    result: Array = 0.5 * (gradient + gradient.T)
+    return result
 
 
 def mean_stress(
@@ -177,7 +182,8 @@ def mean_stress(
             [np.sum(weight * fy * dx), np.sum(weight * fy * dy)],
         ]
     )
-    return 0.5 * (tensor + tensor.T) / region.area
+    found: Array = 0.5 * (tensor + tensor.T) / region.area
+    return found
 
 
 def force_chains(

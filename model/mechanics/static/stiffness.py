@@ -207,14 +207,15 @@ def moving_together(factor: Factor, eliminated: int) -> Array:
         entries = slice(factor.start[k], factor.start[k + 1])
         motion[k] = -factor.lower[entries] @ motion[factor.row[entries]]
     moves = np.abs(motion) > MOVES * np.abs(motion).max()
-    return factor.order[moves]
+    found: Array = factor.order[moves]
+    return found
 
 
 def solve(factor: Factor, load: Array) -> Array:
     """Displacements (m,) under loads (m,)."""
     work = load[factor.order]
     _substitute(factor.start, factor.row, factor.lower, factor.pivot, work)
-    found = np.empty_like(work)
+    found: Array = np.empty_like(work)
     found[factor.order] = work
     return found
 

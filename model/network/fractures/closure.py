@@ -40,7 +40,8 @@ def hyperbolic(stress: np.ndarray, stiffness: float, largest: np.ndarray) -> np.
     stiffness : k_n, Pa/m
     largest : closure V_m, (n,) m
     """
-    return stress * largest / (stiffness * largest + stress)
+    found: np.ndarray = stress * largest / (stiffness * largest + stress)
+    return found
 
 
 def barton_bandis(w0: np.ndarray, stress: np.ndarray, wall: BartonBandis) -> np.ndarray:
@@ -69,7 +70,8 @@ def barton_bandis(w0: np.ndarray, stress: np.ndarray, wall: BartonBandis) -> np.
     largest = (-0.296 - 0.0056 * wall.jrc + 2.241 * ratio**-0.245) * 1e-3
     largest = np.clip(largest, RESIDUAL * open_, (1.0 - RESIDUAL) * open_)
     left = open_ - stress * largest / (stiffness * largest + stress)
-    return np.minimum(left, left**2 / rough)
+    found: np.ndarray = np.minimum(left, left**2 / rough)
+    return found
 
 
 def closed(w0: np.ndarray, stress: np.ndarray, law: Closure) -> np.ndarray:
@@ -91,7 +93,8 @@ def closed(w0: np.ndarray, stress: np.ndarray, law: Closure) -> np.ndarray:
         left = w0 - hyperbolic(stress, law.stiffness, largest)
     else:
         left = w0 - stress / (law.stiffness or np.inf)
-    return np.maximum(left, RESIDUAL * w0)
+    found: np.ndarray = np.maximum(left, RESIDUAL * w0)
+    return found
 
 
 def normal_stress(state: StressState, walked: Walk) -> np.ndarray:

@@ -153,7 +153,8 @@ def _tips(joints: Topology, at_rim: np.ndarray) -> np.ndarray:
     first = np.append(True, joints.line[1:] != joints.line[:-1])[: len(joints.line)]
     last = np.append(first[1:], True)[: len(joints.line)]
     lone = count[joints.node] == 1
-    return np.column_stack([lone[first], lone[last]]) & ~at_rim
+    found: np.ndarray = np.column_stack([lone[first], lone[last]]) & ~at_rim
+    return found
 
 
 def _tip_reach(network: Network, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -163,7 +164,8 @@ def _tip_reach(network: Network, start: np.ndarray, end: np.ndarray) -> np.ndarr
     few = min(AROUND_TIP, len(inside))
     _, near = pores.query(np.concatenate([start, end]), k=np.arange(1, few + 1))
     spacing = np.sqrt(network.area[inside][near].mean(axis=1))
-    return TIP_REACH * spacing.reshape(2, len(start))
+    found: np.ndarray = TIP_REACH * spacing.reshape(2, len(start))
+    return found
 
 
 def _cuts(

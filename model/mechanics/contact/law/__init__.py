@@ -42,7 +42,8 @@ Law = Linear | Hertz | Rolling
 
 def relative_radius(radius_a: np.ndarray, radius_b: np.ndarray) -> np.ndarray:
     """Relative radius r_a r_b / (r_a + r_b) of contacts, of the shape of the radii."""
-    return radius_a * radius_b / (radius_a + radius_b)
+    found: np.ndarray = radius_a * radius_b / (radius_a + radius_b)
+    return found
 
 
 @kernel

@@ -44,7 +44,8 @@ def hertz_force(modulus: float, un: float, r: float) -> float:
     r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
     """
     u = max(un, 0.0)
-    return 2.0 / 3.0 * modulus * (r * u) ** 0.5 * u
+    found: float = 2.0 / 3.0 * modulus * (r * u) ** 0.5 * u
+    return found
 
 
 @kernel
@@ -57,7 +58,8 @@ def hertz_stiffness(modulus: float, un: float, r: float) -> float:
     un : overlap U_n
     r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
     """
-    return modulus * (r * max(un, 0.0)) ** 0.5
+    found: float = modulus * (r * max(un, 0.0)) ** 0.5
+    return found
 
 
 @press.of(Hertz)
@@ -82,4 +84,5 @@ def _energy(law: Hertz, un: float, r: float) -> float:
 
 @stiffest.of(Hertz)
 def _stiffest(law: Hertz) -> float:
-    return law.kn * CROWDED ** (1.0 / 3.0)
+    found: float = law.kn * CROWDED ** (1.0 / 3.0)
+    return found

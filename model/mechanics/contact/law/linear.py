@@ -25,7 +25,8 @@ def linear_press(law: Any, un: float, r: float) -> float:
     un : overlap U_n
     r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
     """
-    return max(law.kn * un, 0.0)
+    found: float = max(law.kn * un, 0.0)
+    return found
 
 
 @stiffness.of(Linear)
@@ -38,7 +39,8 @@ def linear_stiffness(law: Any, un: float, r: float) -> float:
     un : overlap U_n
     r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
     """
-    return law.kn
+    found: float = law.kn
+    return found
 
 
 @shear_stiffness.of(Linear)
@@ -51,7 +53,8 @@ def linear_shear_stiffness(law: Any, un: float, r: float) -> float:
     un : overlap U_n
     r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
     """
-    return law.ks
+    found: float = law.ks
+    return found
 
 
 @energy.of(Linear)
@@ -64,4 +67,5 @@ def linear_energy(law: Any, un: float, r: float) -> float:
     un : overlap U_n
     r : relative radius r_a r_b / (r_a + r_b), at a wall that of the grain
     """
-    return 0.5 * law.kn * max(un, 0.0) ** 2
+    found: float = 0.5 * law.kn * max(un, 0.0) ** 2
+    return found

@@ -68,7 +68,8 @@ def energy(law: Any, un: float, r: float) -> float:
 @by_type
 def stiffest(law: Any) -> float:
     """Stiffness that no contact exceeds, to which the time step is fitted."""
-    return max(law.kn, law.ks)
+    found: float = max(law.kn, law.ks)
+    return found
 
 
 @by_type
