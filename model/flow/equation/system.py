@@ -26,12 +26,14 @@ from demflow.model.network.connectivity import reached
 from demflow.model.network.fractures.subdivide import Cuts, cuts_of, subdivide
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network
-from demflow.model.region import Region, named_sides
+from demflow.model.region import Region, distance_to_rim, named_sides
 
 TINY = float(np.finfo(float).tiny)
 
-# Around a well, a ring of pores this far from its wall tells what it should feel.
-RING_PORES = 5.0
+# Around a well, a ring of pores this far from its wall tells what it should feel. Pressures that
+# are held on it hinder the rock within from taking its own: near by that would cost a few per
+# mille. It ends at the rim, but is not nearer than the first of these.
+RING_PORES = 5.0, 16.0
 
 
 class System(NamedTuple):
@@ -251,7 +253,8 @@ def _placed(
         mobility = mobility_around(network, apertures, region, well.at, well.radius)
         mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
         spacing = spacing_around(network, well.at, well.radius)
-        reach = well.radius + RING_PORES * spacing
+        rim = distance_to_rim(region, np.array([well.at]))[0] - well.radius
+        reach = well.radius + spacing * float(np.clip(rim / spacing, *RING_PORES))
         field = (
             well_field(well.at, well.radius, mobility, region, fixed, reach) if mean[k] else None
         )
