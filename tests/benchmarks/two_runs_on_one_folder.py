@@ -26,7 +26,7 @@ def run() -> Result:
     """Let runs meet on one folder."""
     folder = results_folder() / "two_runs"
     folder.mkdir()
-    path = toys.write_study(folder, stresses=(), rates=tuple(map(float, range(1, 11))), seconds=0.1)
+    path = toys.write_study(folder, stresses=(), rates=tuple(map(float, range(1, 21))), seconds=0.4)
     _, out, _ = start(path, folder / "calm", "--json").finish()
     calm, runs = open_results(folder / "calm" / "toy"), json.loads(out)["computed"]
     results = folder / "results"
