@@ -261,7 +261,7 @@ def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Probl
             yield f"boundaries.{name}", "the pressure is not a finite number"
     outer = {name for name, _ in boundaries} & set(outer_shape(region).sides) - {"outer"}
     if outer and any(name == "outer" for name, _ in boundaries):
-        what = f"outer names every side of the region; name {min(outer)} no more beside it"
+        what = f"outer names every side of the region; name no other beside it, as {min(outer)}"
         yield "boundaries.outer", what
 
 
