@@ -246,13 +246,57 @@ def draw_study(
     from demflow.sweep.dataset.file import recorded
 
     prepared = prepare(path, results, smoke=smoke, table=table)
+    dataset = _own_dataset(prepared)
+    finished = _finished(prepared, recorded(dataset))
+    with FolderLock(prepared.folder.parent, f"demflow report {prepared.study.name}"):
+        return draw(prepared, finished)
+
+
+def draw_figures(
+    path: str | Path,
+    results: str | Path = "results",
+    *,
+    kind: str = "png",
+    width: str = "",
+    smoke: bool = False,
+    table: str = MODEL,
+) -> tuple[list[Path], list[str]]:
+    """Draw the figures of a study in another format or width, from the dataset of a run.
+
+    Parameters
+    ----------
+    path : of the study
+    results : folder that holds the results of all studies
+    kind : png, svg or pdf
+    width : column or page, of a journal; empty: as wide as what is drawn needs
+    smoke : whether the overrides under `smoke:` hold
+    table : the table of stages, as `module:name`
+
+    Returns
+    -------
+    Where the figures lie, and what could not be drawn.
+
+    Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset, or
+    one of other cases than the study's.
+    """
+    prepared = prepare(path, results, smoke=smoke, table=table)
+    _own_dataset(prepared)
+    from demflow.sweep.dataset.open import open_results
+    from demflow.sweep.figures import Form, write_figures
+
+    with FolderLock(prepared.folder.parent, f"demflow figures {prepared.study.name}"):
+        dataset = open_results(prepared.folder)
+        drawn = write_figures(dataset, prepared.folder, prepared.study, Form(kind, width))
+    return drawn.paths, drawn.messages
+
+
+def _own_dataset(prepared: Project) -> Path:
+    """The dataset of a study. Raises ResultsError where it is not there, or not of its cases."""
     dataset = prepared.folder / DATASET_FILE
     if not dataset.exists():
         raise ResultsError(f"{dataset} does not exist; `demflow run` writes it")
     check_is_of(dataset, prepared)
-    finished = _finished(prepared, recorded(dataset))
-    with FolderLock(prepared.folder.parent, f"demflow report {prepared.study.name}"):
-        return draw(prepared, finished)
+    return dataset
 
 
 def collect_study(

@@ -26,6 +26,7 @@ from demflow.sweep.command.commands import (
     clean,
     collect,
     export,
+    figures,
     fit,
     plan,
     report,
@@ -164,6 +165,15 @@ def parser() -> argparse.ArgumentParser:
     add_results(add(status))
     add_results(add(collect))
     add_results(add(report))
+    drawing = add_results(add(figures))
+    drawing.add_argument(
+        "--format", choices=("png", "svg", "pdf"), default="pdf", help="by default pdf"
+    )
+    drawing.add_argument(
+        "--width",
+        choices=("column", "page"),
+        help="89 or 183 mm; by default as wide as what is drawn needs",
+    )
     add_results(add(fit)).add_argument(
         "--no-figure", action="store_true", help="write the numbers only"
     )

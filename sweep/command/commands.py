@@ -229,6 +229,27 @@ def report(options: argparse.Namespace) -> int:
     return SOME_FAILED if finished.failed else GOOD
 
 
+def figures(options: argparse.Namespace) -> int:
+    """Draw the figures as PNG, SVG or PDF, for a column or a page."""
+    from demflow.sweep.engine import draw_figures
+
+    paths, messages = draw_figures(
+        options.study,
+        options.results,
+        kind=options.format,
+        width=options.width or "",
+        smoke=options.smoke,
+    )
+    for message in messages:
+        say(message)
+    if options.json:
+        _print_json({"figures": [str(path) for path in paths]})
+    else:
+        for path in paths:
+            show(str(path))
+    return GOOD
+
+
 def export(options: argparse.Namespace) -> int:
     """Write the maps of one case for other programs: .nc (UGRID), .pvd or .vtu (ParaView)."""
     from demflow.sweep.dataset.case_file import write_case

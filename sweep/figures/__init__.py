@@ -30,13 +30,13 @@ from demflow.sweep.figures.permeability import draw_permeability
 from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
 from demflow.sweep.figures.strength import draw_strength
-from demflow.sweep.figures.style import house_style
+from demflow.sweep.figures.style import FOR_REPORT, Form, house_style
 from demflow.sweep.figures.wells import draw_well
 from demflow.sweep.store.written import check_folder, replace_files
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
 
-__all__ = ["Figures", "write_figures"]
+__all__ = ["Figures", "Form", "write_figures"]
 
 MOST_MAPS = 4  # cases whose maps are drawn
 LONGEST_NAME = 80  # letters of a well in the name of a file
@@ -49,7 +49,9 @@ class Figures(NamedTuple):
     messages: list[str]  # what could not be drawn, and what of the user's was renamed
 
 
-def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> Figures:
+def write_figures(
+    dataset: xr.Dataset, results_dir: Path, study: Study, form: Form = FOR_REPORT
+) -> Figures:
     """Draw a study's figures into `results_dir/figures`, and tables of comparisons beside them.
 
     Parameters
@@ -57,6 +59,8 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> Figur
     dataset : the study's dataset.
     results_dir : the study's folder, where the maps of its cases are found.
     study : for the scenes of its cases and its `figures` block.
+    form : what they are made for; other forms than the report's PNG go into a folder of their own
+        in `figures/`, such as `figures/pdf-column/`.
 
     Returns
     -------
@@ -70,12 +74,15 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> Figur
     """
     folder = Path(results_dir) / "figures"
     check_folder(folder)
+    if form != FOR_REPORT:
+        folder /= form.suffix
+        check_folder(folder)
     aside = folder.with_name(f"figures.{os.getpid()}.partial")
     shutil.rmtree(aside, ignore_errors=True)
     try:
         aside.mkdir(parents=True)
         messages: list[str] = []
-        drawn = _draw(dataset, Path(results_dir), study, aside, messages)
+        drawn = _draw(dataset, Path(results_dir), study, aside, messages, form)
         tables = sorted(aside.glob("*.csv"))
         messages += replace_files(folder, {path.name: path for path in [*drawn, *tables]})
     finally:
@@ -84,7 +91,12 @@ def write_figures(dataset: xr.Dataset, results_dir: Path, study: Study) -> Figur
 
 
 def _draw(
-    dataset: xr.Dataset, results_dir: Path, study: Study, folder: Path, messages: list[str]
+    dataset: xr.Dataset,
+    results_dir: Path,
+    study: Study,
+    folder: Path,
+    messages: list[str],
+    form: Form,
 ) -> list[Path]:
     """Draw the figures into a folder; returns them, in the order of a report."""
     if not np.any(dataset["status"].values == Status.DONE):
@@ -98,7 +110,7 @@ def _draw(
         return open_case(results_dir, **values)
 
     roles = roles_of(study)
-    with house_style():
+    with house_style(form):
         if roles is not None and "time_error" in dataset:
             return [_speed(dataset, study, roles, scene_of, maps_of, folder)]
         drawn: list[Path | None] = []

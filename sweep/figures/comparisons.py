@@ -12,7 +12,17 @@ from demflow.model.analytic.radial import radial_dimensionless_pressure
 from demflow.sweep.analysis.cases import plain_number
 from demflow.sweep.analysis.linear_flow import LinearComparison
 from demflow.sweep.analysis.radial_flow import RadialComparison
-from demflow.sweep.figures.style import BLACK, GREY, VERMILION, new_figure, pick, save, sequence
+from demflow.sweep.figures.style import (
+    BLACK,
+    GREY,
+    VERMILION,
+    beside,
+    heading,
+    new_figure,
+    pick,
+    save,
+    sequence,
+)
 
 MOST_TIMES = 8
 
@@ -42,9 +52,11 @@ def draw_linear(result: LinearComparison, path: Path) -> Path:
     main.set_ylabel("P_D = (P_1 − P) / (P_1 − P_2)")
     rest.axhline(0.0, color=BLACK, linewidth=0.8)
     rest.set(xlabel="x_D = x / L", ylabel="difference\n(% of P_1 − P_2)", xlim=(0, 1))
-    figure.legend(*main.get_legend_handles_labels(), loc="outside right upper", title="t_D")
+    handles, labels = main.get_legend_handles_labels()
+    beside(figure, handles=handles, labels=labels, title="t_D")
     rms = 100 * result.rms
-    figure.suptitle(
+    heading(
+        figure,
         f"Linear flow, {_cases(cases)}: markers computed, lines Eq. 24\n"
         f"RMS {rms.mean():.2f} % in the mean, {rms.max():.2f} % worst; "
         f"porosity {_range(result.porosity)}",
@@ -73,7 +85,8 @@ def draw_radial(result: RadialComparison, path: Path) -> Path:
         _draw_profiles(result, panels[0, 1], panels[1, 1])
     mean = result.error.mean(axis=0)
     steady = result.steady_error.mean()
-    figure.suptitle(
+    heading(
+        figure,
         f"Radial flow, {_cases(cases)}: markers computed, lines Eq. 29\n"
         f"well: {100 * np.abs(mean).mean():.2f} % off Eq. 29 averaged over the times, "
         f"{100 * np.abs(mean).max():.2f} % at most; last well pressure "

@@ -18,7 +18,15 @@ from matplotlib.patheffects import withStroke
 from demflow.model.region import Circle, bounding_box, contains, parts_of
 from demflow.model.scene import Fracture, Scene, lines_of
 from demflow.sweep.analysis.cases import display, with_unit
-from demflow.sweep.figures.style import BLACK, SEQUENTIAL, VERMILION, label, new_figure, save
+from demflow.sweep.figures.style import (
+    BLACK,
+    SEQUENTIAL,
+    VERMILION,
+    label,
+    new_figure,
+    save,
+)
+from demflow.sweep.figures.style import heading as title_over
 
 MOST_GRAINS = 3000  # with more, grains are too small to be seen
 CLIP = (1.0, 99.0)  # percentiles at which the colours end, so that a well does not take them all
@@ -156,7 +164,7 @@ def draw_maps(
         panel.set_ylabel("y (m)")
     beyond = (bool(np.nanmin(pressure) * factor < low), bool(np.nanmax(pressure) * factor > high))
     figure.colorbar(patches, ax=panels, label=name, shrink=0.85, aspect=30, extend=_EXTEND[beyond])
-    figure.suptitle(heading, fontsize=10.5)
+    title_over(figure, heading, fontsize=10.5)
     shown = ", ".join(titles)
     caption = f"Pore pressure, {heading.replace(chr(10), ', ')}: {shown}. Each polygon is a pore"
     barriers = [_is_barrier(fracture) for fracture in scene.fractures]

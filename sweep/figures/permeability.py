@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib import rcParams
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
@@ -15,7 +17,10 @@ from demflow.sweep.figures.style import (
     BLUE,
     GREY,
     VERMILION,
+    beside,
+    heading,
     is_log_spaced,
+    narrow,
     new_figure,
     plain_log_ticks,
     quiet_minor_labels,
@@ -50,8 +55,7 @@ def draw_permeability(
     # along the others all cases that have a value have the same
     tensor = tensor.max([a for a in axes(dataset) if a not in matter])
     factor, unit = display("m2", np.array([tensor.values[..., i, i] for i in (0, 1)]))
-    figure = new_figure(max(3.0 * max(len(matter), 1) + 1.2, 4.6), 3.6)
-    panels = figure.subplots(1, max(len(matter), 1), sharey=True, squeeze=False)[0]
+    figure, panels = _panels(max(len(matter), 1))
     values = np.concatenate([tensor.values[..., i, i].ravel() for i in (0, 1)])
     values = values[np.isfinite(values)]
     logarithmic = values.min() > 0 and values.max() / values.min() > 8
@@ -76,7 +80,7 @@ def draw_permeability(
             panel.set_xticks([])
     if logarithmic:
         plain_log_ticks(panels[0].yaxis)
-    panels[0].set_ylabel(f"permeability ({unit})")
+    figure.supylabel(f"permeability ({unit})", fontsize=rcParams["axes.labelsize"])
     handles = [
         Line2D([], [], color=colour, marker=marker, markersize=5, label=name)
         for name, _, colour, marker in _COMPONENTS
@@ -84,8 +88,8 @@ def draw_permeability(
     if len(matter) > 1:
         handles.append(Line2D([], [], color=GREY, linewidth=2.2, label="geometric mean"))
         handles.append(Line2D([], [], color=GREY, linewidth=0.6, label="each of the other cases"))
-    figure.legend(handles=handles, loc="outside right upper")
-    figure.suptitle("Permeability of the region", fontsize=11)
+    beside(figure, handles=handles)
+    heading(figure, "Permeability of the region", fontsize=11)
     caption = "Diagonal of the permeability tensor"
     if matter:
         caption += " against " + ", ".join(axis_title(a) for a in matter)
@@ -94,6 +98,13 @@ def draw_permeability(
     if idle:
         caption += f". It does not change with {', '.join(axis_title(a) for a in idle)}"
     return save(figure, path, caption + ".")
+
+
+def _panels(count: int) -> tuple[Figure, np.ndarray]:
+    """Panels beside each other, or below where there is one column for them."""
+    rows = count if narrow() else 1
+    figure = new_figure(max(3.0 * (count // rows) + 1.2, 4.6), 3.6 if rows == 1 else 2.1 * rows)
+    return figure, figure.subplots(rows, count // rows, sharey=True, squeeze=False).ravel()
 
 
 def _matters(tensor: xr.DataArray, axis: str) -> bool:

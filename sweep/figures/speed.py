@@ -17,6 +17,7 @@ from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
     VERMILION,
+    heading,
     legend_text,
     new_figure,
     save,
@@ -57,7 +58,7 @@ def draw_speed(result: SpeedError, path: Path) -> Path:
         panel.set_xlabel("processor time (s)")
     _draw_model(panels[0, -1], result)
     _explain(panels[1, -1], result)
-    figure.suptitle(f"Speed against error of every solver{_gain(result)}", fontsize=11.5)
+    heading(figure, f"Speed against error of every solver{_gain(result)}", fontsize=11.5)
     methods = ", ".join(dict.fromkeys(ladder.method for ladder in result.ladders))
     caption = (
         f"Error in time against processor time of {methods} on {_list(shown)}, median over "

@@ -6,8 +6,9 @@ import math
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -29,6 +30,24 @@ from demflow.sweep.analysis.cases import display, plain_number, power_of_ten
 from demflow.sweep.printable import printable, printable_lines
 
 DPI = 130
+FORMATS = ("png", "svg", "pdf")
+WIDTHS = {"column": 3.5, "page": 7.2}  # inches: one and two columns of a journal, 89 and 183 mm
+
+
+class Form(NamedTuple):
+    """What figures are made for."""
+
+    format: str = "png"
+    width: str = ""  # one of WIDTHS; empty: as wide as what is drawn needs
+
+    @property
+    def suffix(self) -> str:
+        """Name of the folder of such figures."""
+        return f"{self.format}-{self.width}" if self.width else self.format
+
+
+FOR_REPORT = Form()
+_FORM: ContextVar[Form] = ContextVar("form", default=FOR_REPORT)
 
 # Okabe & Ito (2008), the colours that remain apart under every common colour blindness
 BLACK, BLUE, VERMILION = "#000000", "#0072B2", "#D55E00"
@@ -54,36 +73,72 @@ _RC: Any = {
     "figure.constrained_layout.use": True,
     "text.parse_math": False,  # a `$` of a title or a name is a `$`
     "text.usetex": False,
+    "svg.fonttype": "none",  # text stays text
+    "svg.hashsalt": "demflow",  # the same names of parts in every run
+    "pdf.fonttype": 42,
+}
+# in a journal's column: nothing below 6 points once printed
+_NARROW: Any = {
+    "font.size": 7.0,
+    "axes.titlesize": 7.0,
+    "axes.labelsize": 7.0,
+    "xtick.labelsize": 6.5,
+    "ytick.labelsize": 6.5,
+    "legend.fontsize": 6.5,
+    "lines.linewidth": 1.1,
+    "axes.linewidth": 0.6,
+    "savefig.dpi": 300,
 }
 
 
 @contextmanager
-def house_style() -> Iterator[None]:
-    """Draw in the house's style; matplotlib's own settings are as before afterwards."""
+def house_style(form: Form = FOR_REPORT) -> Iterator[None]:
+    """Draw in the house's style; matplotlib's own settings are as before afterwards.
+
+    Parameters
+    ----------
+    form : what the figures are made for: a format and a width.
+    """
     with matplotlib.rc_context(), warnings.catch_warnings():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_RC)
+        matplotlib.rcParams.update(_RC | (_NARROW if form.width else {}))
+        before = _FORM.set(form)
         # a letter that the font lacks is drawn as a box; the caption beside the picture has it
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
-        yield
+        try:
+            yield
+        finally:
+            _FORM.reset(before)
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure (inches) that no global list of figures knows, so nothing must close it."""
+    """An empty figure (inches) that no global list of figures knows, so nothing must close it.
+
+    For a column or a page it has that width, and is a little higher than it would be by that.
+    """
+    wanted = WIDTHS.get(_FORM.get().width)
+    if wanted is not None:
+        width, height = wanted, max(0.7 * wanted, height * min(1.0, 1.2 * wanted / width))
     figure = Figure(figsize=(width, height))
     FigureCanvasAgg(figure)
     return figure
 
 
 def save(figure: Figure, path: Path, caption: str) -> Path:
-    """Write a PNG that carries its caption as its description. Same figure, same bytes.
+    """Write a figure that carries its caption as its description. Same figure, same bytes.
 
     Parameters
     ----------
     figure : the figure
-    path : where the figure is written
+    path : where the figure is written, its suffix that of the format
     caption : words under it
+
+    Returns
+    -------
+    Where it lies.
     """
+    form = _FORM.get()
+    path = path.with_suffix(f".{form.format}")
     for text in figure.findobj(Text):
         assert isinstance(text, Text)
         text.set_text(printable_lines(text.get_text()))
@@ -94,9 +149,31 @@ def save(figure: Figure, path: Path, caption: str) -> Path:
             if isinstance(axis.get_minor_formatter(), LogFormatterMathtext):
                 minor = _PlainPowers(labelOnlyBase=False, minor_thresholds=(1, 0.4))
                 axis.set_minor_formatter(minor)
-    described = {"Software": None, "Description": printable(caption)}
-    figure.savefig(path, dpi=DPI, metadata=described)
+    words = printable(caption)
+    described: dict[str, dict[str, str | None]] = {
+        "png": {"Software": None, "Description": words},
+        "svg": {"Date": None, "Creator": None, "Description": words},
+        "pdf": {"CreationDate": None, "Producer": None, "Creator": None, "Subject": words},
+    }
+    dpi = matplotlib.rcParams["savefig.dpi"] if form.width else DPI
+    figure.savefig(path, format=form.format, dpi=dpi, metadata=described[form.format])
     return path
+
+
+def narrow() -> bool:
+    """Whether what is drawn must fit into one column: one panel beside another has no room."""
+    return _FORM.get().width == "column"
+
+
+def heading(figure: Figure, text: str, **look: Any) -> None:
+    """A title over all panels; in a journal the words under a figure take its place."""
+    if not _FORM.get().width:
+        figure.suptitle(text, **look)
+
+
+def beside(figure: Figure, **legend: Any) -> None:
+    """A legend right of the panels."""
+    figure.legend(**legend, loc="outside right upper")
 
 
 class _PlainPowers(LogFormatterSciNotation):

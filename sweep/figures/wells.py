@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -20,7 +21,10 @@ from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
     LINE_STYLES,
+    beside,
+    heading,
     legend_text,
+    narrow,
     new_figure,
     pick,
     plain_log_ticks,
@@ -47,7 +51,8 @@ class _Roles(NamedTuple):
 def _roles(dataset: xr.Dataset) -> _Roles:
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     unused: list[str | None] = [None] * len(_MOST)
-    names = tuple([*varied, *unused][: len(_MOST)])
+    kept = varied[:2] if narrow() else varied  # one panel fits into a column
+    names = tuple([*kept, *unused][: len(_MOST)])
     shown = tuple(
         pick(dataset.sizes[name], most) if name else [0]
         for name, most in zip(names, _MOST, strict=True)
@@ -130,15 +135,19 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
         ]
         panels[j, i].set_title(", ".join(title))
         _slope_fan(panels[j, i], corner)
-    figure.supxlabel(f"time since the rate change ({time_name})", fontsize=9.5)
-    figure.supylabel(f"Δp and dΔp/d ln t ({pressure_name})", fontsize=9.5)
+    figure.supxlabel(
+        f"time since the rate change ({time_name})", fontsize=rcParams["axes.labelsize"]
+    )
+    figure.supylabel(f"Δp and dΔp/d ln t ({pressure_name})", fontsize=rcParams["axes.labelsize"])
     # from the left, so that a long legend on the right cannot reach it
-    figure.suptitle(
-        f"Well {well}: pressure change and Bourdet derivative", x=0.01, ha="left", fontsize=11
+    heading(
+        figure,
+        f"Well {well}: pressure change and Bourdet derivative",
+        x=0.01,
+        ha="left",
+        fontsize=11,
     )
-    figure.legend(
-        handles=_legend(dataset, roles, blues, reds), loc="outside right upper", handlelength=2.6
-    )
+    beside(figure, handles=_legend(dataset, roles, blues, reds), handlelength=2.6)
     return save(figure, path, _caption(dataset, well, roles, drawn))
 
 

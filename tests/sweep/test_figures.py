@@ -1,6 +1,7 @@
 """Pictures: what is drawn is what the data say, whatever the shape of the study."""
 
 import dataclasses
+import re
 
 import matplotlib
 import numpy as np
@@ -13,7 +14,7 @@ from demflow.model.region import contains
 from demflow.sweep.figures import maps as map_figures
 from demflow.sweep.figures import representative_cases, write_figures
 from demflow.sweep.figures.permeability import draw_permeability
-from demflow.sweep.figures.style import house_style, is_log_spaced, label, pick
+from demflow.sweep.figures.style import WIDTHS, Form, house_style, is_log_spaced, label, pick
 from demflow.sweep.figures.wells import draw_well
 from demflow.sweep.study.cases import case_at
 from tests.sweep.invented import LINEAR, RADIAL, SWEEP, invented_dataset, invented_maps, study_of
@@ -326,3 +327,28 @@ def test_helpers_of_style():
     assert is_log_spaced(np.array([1.0, 10.0, 100.0]))
     assert not is_log_spaced(np.array([0.0, 30.0, 65.0]))
     assert not is_log_spaced(np.array(["a", "b"]))
+
+
+@pytest.mark.parametrize("form", [Form("svg"), Form("pdf", "column"), Form("svg", "column")])
+def test_other_forms_have_a_folder_of_their_own_and_the_same_bytes_each_time(results, form):
+    study, dataset, folder = results(SWEEP)
+    report = figures.write_figures(dataset, folder, study).paths
+    first = figures.write_figures(dataset, folder, study, form).paths
+    content = [path.read_bytes() for path in first]
+    again = figures.write_figures(dataset, folder, study, form).paths
+    assert [path.read_bytes() for path in again] == content
+    assert {path.parent for path in first} == {folder / "figures" / form.suffix}
+    assert [path.stem for path in first] == [path.stem for path in report]
+    assert all(path.is_file() for path in report)
+
+
+@pytest.mark.parametrize("width", ["column", "page"])
+def test_figures_have_the_width_of_the_journal_and_text_stays_text(results, width):
+    study, dataset, folder = results(SWEEP)
+    drawn = figures.write_figures(dataset, folder, study, Form("svg", width)).paths
+    for path in drawn:
+        text = path.read_text()
+        points = float(re.search(r'<svg [^>]*width="([\d.]+)pt"', text)[1])
+        assert points == pytest.approx(72 * WIDTHS[width], abs=0.5)
+        assert "<text" in text
+    assert "permeability" in "".join(path.read_text() for path in drawn)
