@@ -43,6 +43,14 @@ def _between(q: np.ndarray, first: Side, second: Side) -> np.ndarray:
     return (a + b + 2.0 * a * b) / (1.0 - a * b)
 
 
+def _image(root: np.ndarray, distance: float, reflection: float) -> np.ndarray:
+    """One image, twice as far away as the side: ± K0(2 d √s)."""
+    if reflection == NONE:
+        return np.zeros_like(root)
+    far = 2.0 * distance * root
+    return reflection * kve(0, far) * np.exp(-far)
+
+
 def _strip(s: np.ndarray, first: Side, second: Side) -> np.ndarray:
     """What the images in one or two parallel sides add to s p̄_D at the well.
 
@@ -51,8 +59,9 @@ def _strip(s: np.ndarray, first: Side, second: Side) -> np.ndarray:
     """
     root = np.sqrt(s)
     nearest = min(first.distance, second.distance)
-    if math.isinf(nearest):
-        return np.zeros_like(root)
+    if math.isinf(first.distance) or math.isinf(second.distance):
+        one = first if second.reflection == NONE else second
+        return _image(root, one.distance, one.reflection)
     least = float(np.min(root.real))
     reach = math.acosh(max(_DECAY / (2.0 * nearest * least), 1.0)) + _STEP
     total = 0.5 * _between(root, first, second)
@@ -113,8 +122,8 @@ def images_of_sides(
         x, y = (min(pair) for pair in pairs)
         total: np.ndarray = _strip(s, *pairs[0]) + _strip(s, *pairs[1])
         if not math.isinf(x.distance + y.distance):
-            far = np.sqrt(s) * 2.0 * math.hypot(x.distance, y.distance)
-            total = total + x.reflection * y.reflection * kve(0, far) * np.exp(-far)
+            across = math.hypot(x.distance, y.distance)
+            total = total + _image(np.sqrt(s), across, x.reflection * y.reflection)
         return total
     along = min((number for number in (0, 1) if bounded[number]), key=cost)
     first, second = pairs[along]

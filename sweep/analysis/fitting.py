@@ -22,7 +22,8 @@ FAR_APART = 3.0  # upper over lower bound from which on the scale is logarithmic
 WIDE = 10.0  # an interval over such a factor tells no more than an order of magnitude
 NEARLY_LINEAR = 0.02  # half width on the scale 0 to 1 up to which the Jacobian serves
 CORRELATED = 0.95  # from which on a pair of parameters is told
-SCANNED, STARTS = 96, 3  # points tried between the bounds, and of them started from
+SCANNED, STARTS, KEPT = 128, 6, 2  # points tried, of them started from, of them followed to the end
+BRIEF = 12  # steps of a start before it is judged
 _STEP = 1e-6  # of the scale 0 to 1, for the Jacobian
 _ANEW = 5  # times that a better place than the best so far is gone on from
 _FLAT = 1e-13  # curvature of the sum of squares that is round-off, parameters scaled alike
@@ -219,14 +220,20 @@ def fit(
     if start is not None:
         asked = [one.place(start[one.name]) if one.name in start else 0.5 for one in free]
         starts = [np.clip(asked, 0.0, 1.0)]
-    tried = [problem.solve(one) for one in starts]
-    best, squares = min(tried, key=lambda one: one[1])
+    if len(starts) > KEPT:
+        brief = sorted((problem.solve(one, evaluations=BRIEF) for one in starts), key=_squares)
+        starts = [one for one, _ in brief[:KEPT]]
+    best, squares = min((problem.solve(one) for one in starts), key=_squares)
     for _ in range(_ANEW):
         try:
             return _told(problem, best, squares, profile)
         except _Better as found:
             best, squares = problem.solve(found.place)
     return _told(problem, best, squares, False)
+
+
+def _squares(tried: tuple[np.ndarray, float]) -> float:
+    return tried[1]
 
 
 class _Better(Exception):
@@ -239,7 +246,7 @@ class _Better(Exception):
 def _starts(problem: _Problem, level: str | None, seed: int) -> list[np.ndarray]:
     """The best of some points between the bounds, apart from one another."""
     free = problem.free
-    points = qmc.Sobol(len(free), seed=seed).random(SCANNED + SCANNED // 3)
+    points = qmc.Sobol(len(free), seed=seed).random(SCANNED)
     names = [one.name for one in free]
     shift = names.index(level) if level in names else None
     rated = []

@@ -55,7 +55,7 @@ def _fault(reflection: float) -> Callable[[Values, float], Transform]:
 
 
 def _corner(v: Values, length: float) -> Transform:
-    west, south = Side(v["distance"] / length), Side(v["second_distance"] / length)
+    west, south = Side(v["distance"] / length), Side(v["ratio"] * v["distance"] / length)
     return with_sides(unbounded_transform(1.0), west=west, south=south)
 
 

@@ -21,7 +21,7 @@ VALUES = {
     "wellbore_storage": 1e-8,
     "drift": 0.0,
     "distance": 60.0,
-    "second_distance": 150.0,
+    "ratio": 2.5,
     "width": 120.0,
     "offset": 0.3,
     "radius": 200.0,
