@@ -68,7 +68,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.plan": ("model.stages",),
     "sweep.execution": ("model.stages", "model.products", "model.memory", "model.compilation"),
     "sweep.dataset": ("model.maps", "model.products"),
-    "sweep.fitting": ("model.stages", "model.transient"),
+    "sweep.fitting": ("model.products",),
     "sweep.command": ("model.compilation",),
     "sweep.analysis": ("model.analytic", "model.transient"),
     "sweep.figures": ("model.analytic", "model.transient"),

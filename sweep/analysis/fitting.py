@@ -156,8 +156,8 @@ class _Problem:
             bounds=(0.0, 1.0),
             diff_step=self.step,
             x_scale="jac",
-            ftol=1e-10,
-            xtol=1e-9,
+            ftol=max(1e-10, 0.1 * self.step**2),  # what the step cannot see is not sought
+            xtol=max(1e-9, 0.05 * self.step),
             gtol=1e-12,
             max_nfev=evaluations,
         )

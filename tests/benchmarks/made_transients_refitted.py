@@ -71,7 +71,9 @@ def sought(model: str) -> list[str]:
     if MODELS[model].fractured:
         names.remove("skin_factor")
     fixed = ("offset_along", "offset_across")
-    return names + [n for n in parameters_of(model) if n in TRUTH and n not in (*names, *fixed, "skin_factor")]
+    return names + [
+        n for n in parameters_of(model) if n in TRUTH and n not in (*names, *fixed, "skin_factor")
+    ]
 
 
 def drawn(name: str, u: float) -> float:
@@ -126,13 +128,15 @@ def run() -> Result:
             inside = sum(m.inside[name] for m in made)
             open_ones = sum(not m.determined[name] for m in made)
             shares.append(inside)
-            cells.append(f"{name} {inside}" + (f" ({open_ones} said to be open)" if open_ones else ""))
+            cells.append(
+                f"{name} {inside}" + (f" ({open_ones} said to be open)" if open_ones else "")
+            )
         seconds = sum(m.seconds for m in made)
         lines.append(f"{model}: {', '.join(cells)}; {seconds:.0f} s of processor time, loaded")
     low, high = min(shares), max(shares)
     return Result(
         f"true values inside in {low} to {high} of {COUNT}",
         f"90 to 99 of {COUNT}",
-        bool(90 <= low and high <= 99),
+        bool(low >= 90 and high <= 99),
         "\n".join(lines),
     )
