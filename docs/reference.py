@@ -59,7 +59,7 @@ class Readers:
         for stage in STAGES:
             if stage.wanted(scene):
                 self._stage = stage.name
-                for part in stage.reads.values():
+                for part in (*stage.reads.values(), *stage.options.values()):
                     self._whole(part(watched))
                 if stage.legs is not None:
                     self._whole(stage.legs(watched))

@@ -43,6 +43,7 @@ from demflow.model.scene.ground import (
     Ground,
     PolygonalHole,
     RectangularHole,
+    holes_of,
 )
 from demflow.model.scene.lines import (
     FlowLine,
@@ -110,6 +111,7 @@ __all__ = [
     "Well",
     "acting_lines",
     "flow_lines",
+    "holes_of",
     "joint_lines",
     "lines_of",
     "refined_places",

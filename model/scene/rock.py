@@ -142,7 +142,10 @@ class Grains:
         help="moment that a linear contact bears, over its normal force and relative radius",
     )
     density: float = parameter(
-        "kg/m3", default=2650.0, above=0, help="grain density (quasi-static results ignore it)"
+        "kg/m3",
+        default=2650.0,
+        above=0,
+        help="density of the grains, by which they weigh under gravity",
     )
 
     def __post_init__(self) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 
 from demflow.model.outcome import Status
-from demflow.model.scene import Scene, Well
+from demflow.model.scene import Scene, Well, holes_of
 from demflow.sweep.analysis.cases import Index, axes, case_title, done
 from demflow.sweep.analysis.compare import ComparisonError, MapsOf, SceneOf
 from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
@@ -24,6 +24,7 @@ from demflow.sweep.analysis.table import Table
 from demflow.sweep.dataset.open import open_case
 from demflow.sweep.figures.comparisons import draw_linear, draw_radial
 from demflow.sweep.figures.failure import draw_failure
+from demflow.sweep.figures.holes import draw_forces, draw_inflow
 from demflow.sweep.figures.horner import draw_horner
 from demflow.sweep.figures.maps import draw_maps
 from demflow.sweep.figures.permeability import draw_permeability
@@ -126,6 +127,7 @@ def _draw(
                 path = folder / f"pressure_map_{k}.png"
                 maps, scene = maps_of(index), scene_of(index)
                 drawn.append(draw_maps(maps, scene, title, path, study.figures.maps))
+        drawn += _holes(dataset, study, scene_of, maps_of, folder)
         seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
         if "permeability" in dataset:
             drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
@@ -133,6 +135,23 @@ def _draw(
         drawn.append(draw_strength(dataset, folder / "strength.png", seeds))
         drawn.append(draw_failure(dataset, maps_of, folder / "stress_strain.png", seeds))
     return [path for path in drawn if path is not None]
+
+
+def _holes(
+    dataset: xr.Dataset, study: Study, scene_of: SceneOf, maps_of: MapsOf, folder: Path
+) -> list[Path | None]:
+    """Draw the forces around what is excavated, and what flows into it."""
+    drawn: list[Path | None] = []
+    holes: set[str] = set()
+    for k, index in enumerate(representative_cases(dataset)):
+        scene = scene_of(index)
+        holes |= {hole.name for hole in holes_of(scene.excavate)}
+        if scene.excavate and scene.stress is not None and "grain_map" in scene.observe:
+            title = f"{study.title}\n{case_title(dataset, index)}".strip()
+            drawn.append(draw_forces(maps_of(index), scene, title, folder / f"forces_{k}.png"))
+    seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
+    drawn.append(draw_inflow(dataset, holes, folder / "inflow.png", seeds))
+    return drawn
 
 
 def _wells(dataset: xr.Dataset, scene_of: SceneOf, folder: Path) -> list[Path | None]:

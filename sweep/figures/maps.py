@@ -140,7 +140,7 @@ def draw_maps(
             edgecolors="face",
             linewidths=0.3,
         )
-        outline, *_ = [panel.add_patch(rim) for rim in _rims(scene)]
+        outline, *_ = [panel.add_patch(rim) for rim in rims(scene)]
         panel.add_collection(patches)
         _grains(panel, maps, scene)
         _fractures(panel, maps)
@@ -176,7 +176,7 @@ def draw_maps(
     return save(figure, path, caption)
 
 
-def _rims(scene: Scene) -> list[Patch]:
+def rims(scene: Scene) -> list[Patch]:
     """The rim of the region, and those of its holes, which are white."""
     rims: list[Patch] = []
     for shape, at, _ in parts_of(scene.rock):

@@ -15,13 +15,20 @@ from tests.benchmarks.result import Result
 IMAGES = 40  # on each side; the sum is taken in pairs that cancel
 
 
-def in_the_box(scene: Scene) -> float:
-    """Inflow with the sealed sides and bottom: images of the tunnel, the table's with sign −."""
+def in_the_box(scene: Scene, y: float, radius: float, k: float) -> float:
+    """Inflow with the sealed sides and bottom: images of the tunnel, the table's with sign −.
+
+    The tunnel stands at (0, y) and has a radius (m), the rock the permeability k (m²).
+    """
+    table = dict(scene.boundaries)["top"]
+    return 2.0 * math.pi * k * table / (scene.fluid.viscosity * logarithm(scene, y, radius))
+
+
+def logarithm(scene: Scene, y: float, radius: float) -> float:
+    """What stands for Goodman's ln(2h/r) in the box."""
     assert isinstance(scene.region, Rectangle)
-    tunnel, k, mu = scene.wells[0], scene.matrix.permeability, scene.fluid.viscosity
-    assert k is not None
     width, height = scene.region.width, scene.region.height
-    depth, radius = 0.5 * height - tunnel.at[1], tunnel.radius
+    depth = 0.5 * height - y
     sum_of_logs = 0.0
     for column in range(-IMAGES, IMAGES + 1):
         x = column * width
@@ -31,7 +38,7 @@ def in_the_box(scene: Scene) -> float:
             near = math.hypot(x, 2.0 * row * height) or radius
             far = math.hypot(x, 2.0 * row * height + 2.0 * depth)
             sum_of_logs += sign * math.log(far / near)
-    return 2.0 * math.pi * k * dict(scene.boundaries)["top"] / (mu * sum_of_logs)
+    return sum_of_logs
 
 
 def run() -> Result:
@@ -48,7 +55,8 @@ def run() -> Result:
         depth = 0.5 * scene.region.height - tunnel.at[1]
         resistance = mu / (2.0 * math.pi * k) * tunnel.skin_factor
         goodman = table / (table / tunnel_inflow(table, mu, k, depth, tunnel.radius) + resistance)
-        boxed = table / (table / in_the_box(scene) + resistance)
+        alone = in_the_box(scene, tunnel.at[1], tunnel.radius, k)
+        boxed = table / (table / alone + resistance)
         found = rate.isel(lining=lining).values
         off.append(found.mean() / boxed - 1)
         against = found.mean() / goodman - 1

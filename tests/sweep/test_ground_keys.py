@@ -1,9 +1,14 @@
 """`gravity` and `excavate` in a study: forms, names, axes, and what is wrong with them."""
 
+import numpy as np
 import pytest
+import xarray as xr
+from PIL import Image
 from study_text import SMALL, load
 
 from demflow.model.scene import CircularHole, PolygonalHole, RectangularHole
+from demflow.sweep.figures.holes import draw_inflow
+from demflow.sweep.figures.style import house_style
 from demflow.sweep.plan.graph import make_plan, stage_table
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import StudyError
@@ -63,3 +68,25 @@ def test_what_is_wrong_is_told_with_its_place(tmp_path, old, new, told):
     with pytest.raises(StudyError) as error:
         load(tmp_path, WITH.replace(old, new))
     assert told in str(error.value)
+
+
+@pytest.mark.slow
+def test_inflow_is_drawn_against_the_axis_that_changes_it_most(tmp_path):
+    half, far, seed = np.array([5e6, 20e6, 80e6]), np.array([10e6, 40e6]), np.array([1, 2, 3])
+    flow = np.einsum("h,f,s->hfs", half, 1.0 / (far + 50e6), 1.0 + 0.01 * seed)
+    whole = xr.Dataset(
+        {
+            "status": (("half", "far", "seed"), np.zeros(flow.shape, np.int8)),
+            "boundary_flow": (("half", "far", "seed", "boundary"), np.stack([-flow, flow], -1)),
+        },
+        {"half": half, "far": far, "seed": seed, "boundary": ["drift", "top"]},
+    )
+    with house_style():
+        path = draw_inflow(whole, {"drift"}, tmp_path / "inflow.png", {"seed"})
+        assert path is not None
+        with Image.open(path) as image:
+            told = image.info["Description"]
+        assert told == "Steady inflow into drift against half; bars: standard deviation over seed."
+        assert draw_inflow(whole, {"shaft"}, tmp_path / "none.png", {"seed"}) is None
+        alone = whole.isel(half=[0], far=[0])
+        assert draw_inflow(alone, {"drift"}, tmp_path / "none.png", {"seed"}) is None

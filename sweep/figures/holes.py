@@ -1,0 +1,135 @@
+"""Around holes: what the contacts carry, and what flows in."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+from matplotlib.collections import LineCollection
+
+from demflow.model.region import bounding_box
+from demflow.model.scene import Scene
+from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.figures.maps import rims
+from demflow.sweep.figures.style import (
+    BLACK,
+    BLUE,
+    LINE_STYLES,
+    VERMILION,
+    is_log_spaced,
+    new_figure,
+    plain_log_ticks,
+    save,
+)
+
+MOST_CURVES = 12
+WIDEST = 0.6  # of a mean radius, the width of a force at the 99th percentile
+
+
+def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Path:
+    """Normal forces at the contacts of a rock with holes, as lines between the grains' centres.
+
+    Parameters
+    ----------
+    maps : maps of one case, with its grains and contacts.
+    scene : its scene, for the region.
+    heading : what tells this case from others.
+    path : PNG to write.
+    """
+    centres = np.stack([maps["grain_x"].values, maps["grain_y"].values], axis=1)
+    ends = np.stack([maps["grain_a"].values, maps["grain_b"].values], axis=1)
+    force = maps["normal_force"].values
+    most = max(float(np.percentile(np.abs(force), 99.0)), 1e-300)
+    xmin, xmax, ymin, ymax = bounding_box(scene.region)
+    aspect = (ymax - ymin) / (xmax - xmin)
+    wide = 6.2
+    figure = new_figure(wide, wide * min(aspect, 1.6) + 0.8)
+    widest = WIDEST * float(maps["radius"].mean()) * 72.0 * wide / (xmax - xmin)
+    panel = figure.subplots()
+    outline, *_ = [panel.add_patch(rim) for rim in rims(scene)]
+    for pulls, colour in ((False, BLACK), (True, VERMILION)):
+        drawn = (force < 0.0) == pulls
+        lines = LineCollection(
+            list(centres[ends[drawn]]),
+            colors=colour,
+            linewidths=widest * np.minimum(np.abs(force[drawn]) / most, 1.5),
+            capstyle="round",
+        )
+        panel.add_collection(lines)
+        lines.set_clip_path(outline)
+    panel.set(xlim=(xmin, xmax), ylim=(ymin, ymax), aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    panel.grid(False)
+    figure.suptitle(heading, fontsize=10.5)
+    factor, unit = display("N m-1", most)
+    caption = (
+        f"Contact forces around the excavation, {heading.replace(chr(10), ', ')}: the width of a "
+        f"line is its normal force, up to {most * factor:.3g} {unit}; tension is red."
+    )
+    return save(figure, path, caption)
+
+
+def draw_inflow(
+    dataset: xr.Dataset, holes: Collection[str], path: Path, ensembles: Collection[str]
+) -> Path | None:
+    """Steady inflow into holes against the axis that changes it most, a curve for the others.
+
+    Parameters
+    ----------
+    dataset : of a study whose `boundary_flow` has no time.
+    holes : names of their sides.
+    path : PNG to write.
+    ensembles : axes whose order means nothing: their mean is drawn, its spread as a bar.
+
+    None where there is no such flow, or no axis that is a number.
+    """
+    if "boundary_flow" not in dataset or "elapsed_time" in dataset["boundary_flow"].dims:
+        return None
+    known = [name for name in dataset["boundary"].values.tolist() if name in holes]
+    varied = [a for a in axes(dataset) if dataset.sizes[a] > 1 and a not in ensembles]
+    numeric = [a for a in varied if a in dataset.coords and dataset[a].dtype.kind in "iuf"]
+    if not known or not numeric:
+        return None
+    flow = -dataset["boundary_flow"].sel(boundary=known)
+    over = [a for a in axes(dataset) if a in ensembles]
+    mean, spread = flow.mean(over), flow.std(over)
+
+    def effect(axis: str) -> float:
+        return float((mean.max(axis) - mean.min(axis)).max())
+
+    x = max(numeric, key=effect)
+    others = [a for a in varied if a != x]
+    factor, unit = display(str(dataset[x].attrs.get("units", "1")), dataset[x].values)
+    figure = new_figure(5.6, 3.8)
+    panel = figure.subplots()
+    cases = itertools.product(known, *(range(dataset.sizes[a]) for a in others))
+    for number, (name, *at) in enumerate(itertools.islice(cases, MOST_CURVES)):
+        place = dict(zip(others, at, strict=True))
+        told = [f"{axis_title(a)} {axis_value(dataset, a, k)}" for a, k in place.items()]
+        one = {"boundary": name}
+        panel.errorbar(
+            dataset[x].values * factor,
+            mean.sel(one).isel(place).values,
+            spread.sel(one).isel(place).values,
+            label=", ".join([name, *told] if len(known) > 1 else told) or name,
+            color=BLUE if number % 2 == 0 else VERMILION,
+            linestyle=LINE_STYLES[number // 2 % len(LINE_STYLES)],
+            marker="o",
+            markersize=3.5,
+            capsize=2.5,
+        )
+    values = mean.values[np.isfinite(mean.values)]
+    if is_log_spaced(dataset[x].values.astype(float)):
+        panel.set_xscale("log")
+    if len(values) and values.min() > 0 and values.max() > 8 * values.min():
+        panel.set_yscale("log")
+        plain_log_ticks(panel.yaxis)
+    panel.set_xlabel(f"{axis_title(x)} ({unit})" if unit else axis_title(x))
+    panel.set_ylabel("inflow (m³/s for 1 m)")
+    panel.legend()
+    caption = f"Steady inflow into {', '.join(known)} against {axis_title(x)}"
+    if over:
+        caption += f"; bars: standard deviation over {', '.join(map(axis_title, over))}"
+    return save(figure, path, caption + ".")
