@@ -14,11 +14,12 @@ other moduli along x and y Abousleiman et al. (1996), Géotechnique 46, 187.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import brentq
+from scipy.optimize import brentq, minimize_scalar
 
 TERMS = 200
 
@@ -79,9 +80,10 @@ def mandel_pressure(x_D: ArrayLike, t_D: ArrayLike, ratio: float) -> np.ndarray:
 
 def mandel_peak(ratio: float) -> tuple[float, float]:
     """Largest pressure in the middle over p0, and the t_D at which it stands."""
-    times = np.geomspace(1e-3, 1.0, 4001)
-    pressure = mandel_pressure(0.0, times, ratio)
-    top = int(np.argmax(pressure))
-    near = slice(max(top - 2, 0), top + 3)
-    a, b, c = np.polyfit(np.log(times[near]), pressure[near], 2)
-    return float(c - b * b / (4.0 * a)), float(np.exp(-b / (2.0 * a)))
+    found = minimize_scalar(
+        lambda log_t: -float(mandel_pressure(0.0, np.exp(log_t), ratio)),
+        bounds=(math.log(1e-3), 0.0),
+        method="bounded",
+        options={"xatol": 1e-10},
+    )
+    return -float(found.fun), math.exp(float(found.x))
