@@ -132,6 +132,11 @@ class StrengthTest(NamedTuple):
     crack_strain: Array  # (k,) axial strain by then, 0 before the test
     box: Array  # (4,) m: walls xmin, xmax, ymin, ymax before the test
     steps: Array  # () time steps taken
+    energy: Array = np.empty(0)  # (7,) J per metre of depth, see ENERGIES; none: not counted
+
+
+# Parts of the energy of a test: what was put in, how much more is stored, what was lost.
+ENERGIES = ("input", "elastic", "kinetic", "slip", "breakage", "damping", "error")
 
 
 class Network(NamedTuple):

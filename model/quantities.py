@@ -291,6 +291,14 @@ CASE: dict[str, Quantity] = {
     "crack_count": Quantity(
         "1", (), "bonds and joint contacts broken at the end of the test", ("crack_count",)
     ),
+    "energy": Quantity(
+        "J m-1",
+        ("energy_part",),
+        "energy of the test for unit depth, from the confining stress to its end",
+        ("energy",),
+        comment="input = elastic + kinetic + slip + breakage + damping + error; elastic and "
+        "kinetic are what was stored more than at the start",
+    ),
     "broken_bonds": Quantity("1", (), "bonds that broke under the stress"),
     "static_solver": Quantity("1", (), "1 where the static solver found the stress state, else 0"),
     "mechanical_steps": Quantity(
@@ -380,6 +388,7 @@ COORDINATES: dict[str, Quantity] = {
     "row": Quantity("", ("row",), "row of a tensor"),
     "column": Quantity("", ("column",), "column of a tensor"),
     "component": Quantity("", ("component",), "component of the stress"),
+    "energy_part": Quantity("", ("energy_part",), "part of the energy of a test"),
     "wall": Quantity("", ("wall",), "wall of the specimen"),
     "stage": Quantity("", ("stage",), "stage of a case"),
 }

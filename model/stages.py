@@ -319,6 +319,7 @@ STAGES: tuple[Stage, ...] = (
             "joints": lambda s: joint_lines(s.fractures, s.region),
             "test": lambda s: s.test,
             "seed": lambda s: s.grains.seed,
+            "energy": lambda s: True if "energy" in s.observe else None,
         },
         wanted=lambda s: s.tests,
         product=StrengthTest,

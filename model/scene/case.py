@@ -51,6 +51,7 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "poissons_ratio": ("strength",),
     "peak_strength": ("strength",),
     "crack_count": ("strength",),
+    "energy": ("strength",),
     "fracture_network": ("fractures",),
     "elastic_moduli": ("moduli",),
     "force_chains": ("stress",),
@@ -239,6 +240,8 @@ class Scene:
         if self.tests and self.test is None:
             what = "moduli, strength and cracks are measured by a test; describe it, for instance "
             yield "test", what + "{kind: biaxial, confining_stress: 1 MPa}"
+        if "energy" in self.observe and self.test is not None and self.test.kind == "tension":
+            yield "observe", "energy is counted in biaxial tests, where walls put it in"
         if self.needs("moduli"):
             yield from self._moduli_problems()
         for name, part in (("matrix", self.matrix), ("fluid", self.fluid)):

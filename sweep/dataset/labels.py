@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from demflow.model.products import ENERGIES
 from demflow.model.quantities import Quantity
 from demflow.model.scene import Scene
 from demflow.sweep.plan.graph import Plan
@@ -17,6 +18,7 @@ FIXED = {
     "row": ("x", "y"),
     "column": ("x", "y"),
     "component": ("xx", "yy", "xy"),
+    "energy_part": ENERGIES,
     "wall": ("left", "right", "bottom", "top"),
 }
 

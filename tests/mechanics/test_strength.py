@@ -11,7 +11,7 @@ from demflow.model.mechanics.loading.stress import load, unit_loads
 from demflow.model.mechanics.specimen import measures
 from demflow.model.mechanics.static.moduli import in_plane_strain
 from demflow.model.outcome import ModelError
-from demflow.model.products import Packing, StrengthTest
+from demflow.model.products import ENERGIES, Packing, StrengthTest
 from demflow.model.region import Rectangle
 from demflow.model.scene import (
     BiWing,
@@ -50,6 +50,28 @@ def to_failure(rock, cement, friction: float = 0.5, **test) -> StrengthTest:
 @pytest.fixture(scope="module")
 def rock():
     return packed(0.165, count=400)
+
+
+@pytest.mark.parametrize("confinement", ["walls", "membrane"])
+def test_energies_of_a_test_close_and_counting_them_changes_nothing(rock, confinement) -> None:
+    test = FailureTest(confining_stress=10e6, strain_step=4e-6, confinement=confinement)
+    plain, counted = (
+        strength(rock, bonds=bonds(60e6), test=test, **CONTACTS, energy=energy)
+        for energy in (None, True)
+    )
+    assert plain.energy.size == 0
+    for name in ("axial_stress", "lateral_strain", "crack_x"):
+        np.testing.assert_array_equal(getattr(counted, name), getattr(plain, name))
+    found = dict(zip(ENERGIES, counted.energy.tolist(), strict=True))
+    given, error = found.pop("input"), found.pop("error")
+    assert given == pytest.approx(sum(found.values()) + error, rel=1e-12)
+    assert abs(error) < 1e-3 * given
+    assert min(found[lost] for lost in ("slip", "breakage", "damping")) > 0.0
+    # what the axial stress did, less what went into the sides; strains are of the middle
+    area = np.prod(np.diff(counted.box)[[0, 2]])
+    work = np.trapezoid(counted.axial_stress, counted.axial_strain)
+    work -= np.trapezoid(np.full_like(counted.lateral_strain, 10e6), counted.lateral_strain)
+    assert given == pytest.approx(area * work, rel=0.2)
 
 
 def static_moduli(rock: Packing, cement: Bonds, confining: float, axial: float) -> tuple:

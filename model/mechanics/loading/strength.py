@@ -81,6 +81,7 @@ def strength(
     contact: Contact | None = None,
     joints: tuple[JointLine, ...] = (),
     seed: int = 0,
+    energy: bool | None = None,
 ) -> StrengthTest:
     """Test a packing to failure, see the head of this file.
 
@@ -91,6 +92,7 @@ def strength(
     normal_stiffness, stiffness_ratio, friction, bonds, contact, joints : as for `stress.load`.
     test : what is done to it.
     seed : of the bonds' strengths.
+    energy : whether energies are counted, from the confining stress on.
 
     Raises
     ------
@@ -112,7 +114,7 @@ def strength(
         rows = _pull(specimen, test)
     else:
         _hold(specimen, confining, test.confining_stress)
-        rows = _press(specimen, test, confining)
+        rows = _press(specimen, test, confining, counted=bool(energy))
     step, stress, axial, lateral, left, right, cracks = np.array(rows).T
     peak = int(np.argmax(stress))
     if stress[peak] <= 0.0 or not (stress[-1] <= FALLEN * stress[peak] or flows(stress)):
@@ -146,6 +148,16 @@ def strength(
         crack_strain=np.interp(broken.step, step, axial),
         box=relieved.box,
         steps=np.array(specimen.steps),
+        energy=normal_stiffness * unit**2 * _spent(specimen) if energy else np.empty(0),
+    )
+
+
+def _spent(specimen: Specimen) -> Array:
+    """Energies (7,) since the ledger was opened, in the order of `products.ENERGIES`."""
+    found = specimen.energies()
+    lost = found.damping + found.jerks
+    return np.array(
+        [found.input, found.elastic, found.kinetic, found.slip, found.breakage, lost, found.error]
     )
 
 
@@ -229,7 +241,9 @@ def _hold(specimen: Specimen, confining: float, wanted: float) -> None:
         )
 
 
-def _press(specimen: Specimen, test: FailureTest, confining: float) -> list[Record]:
+def _press(
+    specimen: Specimen, test: FailureTest, confining: float, *, counted: bool
+) -> list[Record]:
     """A biaxial test under a confining stress over k_n."""
     drive = Servo(confining, confining, confining, confining, drive_y=-test.strain_step)
     gauge = Gauge(specimen)
@@ -237,6 +251,8 @@ def _press(specimen: Specimen, test: FailureTest, confining: float) -> list[Reco
     if test.confinement == "membrane":
         wrap(specimen, confining)
         drive = drive._replace(drive_x=0.0)
+    if counted:
+        specimen.open_ledger()
     per_record = max(1, round(test.largest_strain / RECORDS / test.strain_step))
     peak, taken, rows = 0.0, 0, list[Record]()
     while True:
