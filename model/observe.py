@@ -121,7 +121,7 @@ def observe(
         responses = consolidated.flow
         found |= _strained(consolidated, stress, controls, loads or (), wanted)
     if responses is not None:
-        found |= _flowed(superposed(responses, controls, loads), traces, controls, wanted)
+        found |= flowed(superposed(responses, controls, loads), traces, controls, wanted)
         if reference is not None:
             flows = "boundary_flow" in wanted
             found |= superposed_error(responses, reference, controls, flows=flows)
@@ -138,7 +138,7 @@ def _pores(
         "domain_count": np.asarray(np.count_nonzero(network.inside)),
         "floaters": network.floaters,
         "slivers": network.slivers,
-        "smallest_pore": _smallest(apertures, network.inside),
+        "smallest_pore": smallest_pore(apertures, network.inside),
         "idle_traces": np.asarray(np.count_nonzero(apertures.trace_acts == 0)),
         "parted_pipes": _parted(network, stress),
     }
@@ -246,7 +246,7 @@ def _share(traces: FractureNetwork, found: dict[str, np.ndarray], controls: Cont
     return np.asarray(alone / moved if moved > 0.0 else np.nan)
 
 
-def _smallest(apertures: Apertures, inside: np.ndarray) -> np.ndarray:
+def smallest_pore(apertures: Apertures, inside: np.ndarray) -> np.ndarray:
     """The smallest volume that stores, of a pore or a piece of a fracture, over the mean pore's."""
     pores = apertures.volume[inside]
     return np.asarray(np.append(pores, apertures.node_volume).min() / pores.mean())
@@ -282,7 +282,7 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     return found | _changes(history, controls) if controls.transient else found
 
 
-def _flowed(
+def flowed(
     history: History, traces: FractureNetwork | None, controls: Controls, wanted: tuple[str, ...]
 ) -> dict[str, np.ndarray]:
     """What is observed of the flow, and what is asked for of what depends on it."""

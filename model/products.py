@@ -271,6 +271,38 @@ class Responses(NamedTuple):
     solver_reason: Array  # () words: why it was taken
 
 
+class Emulator(NamedTuple):
+    """A small model of flow equations that differ in how wide their fractures are.
+
+    t terms (the rock, then f classes of branches), q vectors, o outputs, r radii of a contour, k
+    samples, m references, c snapshots. See `flow.solvers.emulator`.
+    """
+
+    usable: Array  # () 1, or 0 where the family has none
+    reason: Array  # () words: why not
+    branch_class: Array  # (e,) 1 … f, or 0 of branches that are alike in all cases
+    branch_aperture: Array  # (e,) m, of which shares are counted
+    wells: Array  # () the first vectors, which are wells without storage
+    conductance: Array  # (t, q, q)
+    storage: Array  # (t, q, q)
+    stored: Array  # (t, q)
+    sealed: Array  # () 1 where nothing keeps its pressure, so that the constants never decay
+    highest: Array  # (q,) Pa: the largest pressure of each vector
+    ports: Array  # (t, q, o)
+    direct: Array  # (t, sources, o)
+    counted: Array  # (o,) bool: held to the tolerance
+    reference_conductance: Array  # (m, t) shares
+    reference_storage: Array  # (m, t)
+    seen_conductance: Array  # (m, t, r, k, q)
+    seen_storage: Array  # (m, t, r, k, q)
+    seen_ports: Array  # (m, t, r, k, o)
+    snapshot_conductance: Array  # (c, t) shares
+    snapshot_storage: Array  # (c, t)
+    poles: Array  # (c, p) 1/s at which they were taken, filled up with zeros
+    snapshots: Array  # () different members among them
+    largest_error: Array  # () bound for the members that it was made of
+
+
 class Permeability(NamedTuple):
     """Permeability tensor of the region; of the *calibrate* stage, at an aperture of 1 m."""
 

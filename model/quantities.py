@@ -38,6 +38,8 @@ SUPERPOSED = (
 
 STOPPED = "stopped"  # of a case that has it and no empty word there; the dataset's `message`
 
+FAILURE = "failure"  # of a member of a family that has it, and no empty word: why it has no result
+
 _NETWORK = ("fracture_network",)
 
 
@@ -218,6 +220,13 @@ CASE: dict[str, Quantity] = {
         gaps=True,
     ),
     "solver_used": Quantity("", (), "flow solver that ran", text=True),
+    "emulator_snapshots": Quantity(
+        "1",
+        (),
+        "cases of the family that the small model was made of which answers this one",
+        gaps=True,
+        comment="where solver_used is emulated; estimated_error is a bound there",
+    ),
     "solver_reason": Quantity("", (), "why that flow solver was taken", text=True),
     "stress_achieved": Quantity(
         "Pa", ("component",), "stress in the specimen, positive in compression"

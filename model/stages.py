@@ -25,10 +25,12 @@ from demflow.model.amounts import (
     kept_by_observe,
 )
 from demflow.model.controls import active_sources, controls_of, sites, step_decades
+from demflow.model.families import alike, asked, may_be_emulated, member, place
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from demflow.model.products import (
     Apertures,
+    Emulator,
     FractureNetwork,
     Moduli,
     Network,
@@ -102,6 +104,12 @@ class Stage:
     # numbers of its product, and that it holds at once, which times and rate changes make
     kept: Callable[[Scene], float] = _nothing
     held: Callable[[Scene], float] = _nothing
+    # of a stage whose run serves several cases, a family, and which none wants by itself: whether
+    # a scene may be one of them; what each brings, as one of the `members` that it takes; where a
+    # case lies in its family, if a few are chosen that lie apart
+    family: Callable[[Scene], bool] | None = None
+    brings: Callable[[Scene], Any] | None = None
+    place: Callable[[Scene], tuple[float, ...]] | None = None
     # why what it returned stops early, "" where it does not; ModelError where it is no result
     check: Callable[[Any], str] | None = None
     # what it reads besides of a scene that has it; where that is None nothing is passed, and
@@ -200,6 +208,10 @@ def _always(_scene: Scene) -> bool:
     return True
 
 
+def _never(_: Scene) -> bool:
+    return False
+
+
 _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.rock,
     "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
@@ -216,6 +228,14 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "check_flows": _observes_flows,
     "initial": lambda s: s.start,
     "decades": step_decades,
+}
+
+_FAMILY_READS: Mapping[str, Callable[[Scene], Any]] = {
+    "region": lambda s: s.rock,
+    "matrix": lambda s: s.matrix,
+    "viscosity": _viscosity,
+    "fractures": lambda s: alike(s.fractures),
+    "asked": asked,
 }
 
 _PACK_READS: Mapping[str, Callable[[Scene], Any]] = {
@@ -450,6 +470,31 @@ STAGES: tuple[Stage, ...] = (
         product=FractureNetwork,
     ),
     Stage(
+        name="emulator",
+        function="demflow.model.emulation:emulator",
+        version=1,
+        parents=("network", "walk", "stress", "calibrate"),
+        reads=_FAMILY_READS,
+        wanted=_never,
+        product=Emulator,
+        family=may_be_emulated,
+        brings=lambda s: s.fractures,
+        place=place,
+    ),
+    Stage(
+        name="emulate",
+        function="demflow.model.emulation:emulate",
+        version=1,
+        parents=("pack", "stress", "network", "walk", "calibrate", "emulator"),
+        reads={**_FAMILY_READS, "wanted": lambda s: s.observe},
+        wanted=_never,
+        product=dict,
+        kept=kept_by_observe,
+        held=held_by_observe,
+        family=may_be_emulated,
+        brings=member,
+    ),
+    Stage(
         name="observe",
         function="demflow.model.observe:observe",
         version=10,
@@ -474,7 +519,7 @@ STAGES: tuple[Stage, ...] = (
 
 
 def run_stages(scene: Scene) -> dict[str, Any]:
-    """Run every stage that a scene wants, in order; the products by name of stage."""
+    """Run every stage that a scene wants by itself, in order; the products by name of stage."""
     products: dict[str, Any] = {}
     for stage in STAGES:
         if stage.wanted(scene):

@@ -38,9 +38,10 @@ MODEL = (
     ("model.flow.solvers",),
     ("model.permeability", "model.fracture_network", "model.controls"),
     ("model.coupling",),
-    ("model.amounts",),
+    ("model.amounts", "model.families"),
     ("model.history",),
     ("model.observe", "model.maps"),
+    ("model.emulation",),
     ("model.stages",),
 )
 # The study and its cases are read without the model's machinery; what runs comes after, and

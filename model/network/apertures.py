@@ -172,10 +172,9 @@ def open_pipes(
         branch_length=walked.branch_length,
     )
     open_lines = np.array([line.aperture or 0.0 for line in lines])
-    hydraulic = open_lines[walked.branch_line]
-    if stress is not None:
-        hydraulic = _closed(walked, stress, [fractures[k] for k in fracture], hydraulic)
-    result = _with_branches(result, walked, hydraulic, viscosity)
+    across = stress_across(walked, stress, fractures)
+    hydraulic = branch_apertures(walked, across, fractures, fracture, open_lines)
+    result = with_branches(result, walked, hydraulic, viscosity)
     result = _with_barriers(result, network, walked, [fractures[k] for k in fracture], viscosity)
     ends = walked.branch_line[(walked.node_side[walked.branch_a, 0] >= 0)]
     acts = acts + _per_line(walked, walked.cross_line, walked.wall_line, walked.cut_line, ends)
@@ -204,22 +203,38 @@ def _widened(
     return _per_line(walked, line[wins]), on_fracture
 
 
-def _closed(
-    walked: Walk, stress: StressState, fractures: list[Fracture], aperture: np.ndarray
+def stress_across(
+    walked: Walk, stress: StressState | None, fractures: tuple[Fracture, ...]
+) -> np.ndarray | None:
+    """Stress across each branch, (e,) Pa; None where no law makes apertures feel it."""
+    lawless = all(fracture.closure is None for fracture in fractures)
+    if stress is None or lawless or not len(walked.branch_line):
+        return None
+    return normal_stress(stress, walked)
+
+
+def branch_apertures(
+    walked: Walk,
+    across: np.ndarray | None,
+    fractures: tuple[Fracture, ...],
+    of_line: np.ndarray,
+    aperture: np.ndarray,
 ) -> np.ndarray:
-    """Apertures of branches (e,) m under the stress across them, where a law is given."""
-    laws = {f.closure: f for f in fractures if f.closure is not None}
-    if not laws or not len(aperture):
-        return aperture
-    across = normal_stress(stress, walked)
-    result = aperture.copy()
-    for law in laws:
-        ours = np.array([f.closure == law for f in fractures])[walked.branch_line]
-        result[ours] = closed(aperture[ours], across[ours], law)
+    """Hydraulic apertures of the branches, (e,) m, under the stress `across` them.
+
+    `of_line` (lines,) is the fracture that each line is of, `aperture` (lines,) m what it has
+    without stress.
+    """
+    result = aperture[walked.branch_line]
+    if across is None:
+        return result
+    for law in {f.closure for f in fractures if f.closure is not None}:
+        ours = np.array([f.closure == law for f in fractures])[of_line][walked.branch_line]
+        result[ours] = closed(result[ours], across[ours], law)
     return result
 
 
-def _with_branches(
+def with_branches(
     result: Apertures, walked: Walk, aperture: np.ndarray, viscosity: float
 ) -> Apertures:
     """The traces' branches at hydraulic apertures (e,) m, and what their nodes store."""

@@ -15,7 +15,8 @@ from demflow.model.compilation import kept_kernels
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import machine_memory, peak_memory
 from demflow.sweep.execution.progress import size
-from demflow.sweep.plan.graph import CostClass, Plan
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.plan.runs import CostClass
 from demflow.sweep.prepared import Project
 from demflow.sweep.study.load import Limits
 
@@ -98,7 +99,7 @@ def _compiles(unknown: list[str]) -> bool:
 
 def _dataset(plan: Plan) -> float:
     """Bytes of the dataset, whose variables are what is observed of every case."""
-    observed = (runs[plan.observed] for runs in plan.cases)
+    observed = (plan.result_of(case)[0] for case in range(len(plan.cases)))
     found: float = sum(plan.runs[run].kind.bytes_kept for run in observed if run >= 0)
     return found
 

@@ -78,5 +78,7 @@ def _bytes_of_a_case(plan: Plan, store: Store, verdicts: Sequence[Verdict]) -> i
     for case, ended in enumerate(verdicts):
         if ended.status is Status.DONE:
             with suppress(FileNotFoundError):  # it is missed when it is read
-                return store.path(plan.runs[int(plan.cases[case, plan.observed])].id).stat().st_size
+                run, member = plan.result_of(case)
+                size = store.path(plan.runs[run].id).stat().st_size
+                return size if member < 0 else size // len(plan.runs[run].members)
     return 1000

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from demflow.model.quantities import FAILURE
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.products import DamagedError, MissingError, Store
 
@@ -28,17 +29,23 @@ class Source:
         self.stages = tuple(self.plan.stages[row].name for row in self.rows)
         self.times = np.full((len(self.plan.runs), 2), np.nan)  # s by the clock, of the processor
         self.met = np.zeros(len(self.plan.runs), dtype=bool)  # runs whose times were looked up
+        self._last: tuple[int, Mapping[str, np.ndarray]] | None = None  # run and product read last
 
     def result(self, case: int) -> Mapping[str, np.ndarray]:
         """What was observed of a case; nothing where that is damaged."""
-        run = int(self.plan.cases[case, self.plan.observed])
-        try:
-            stored = self.store.get(self.plan.runs[run].id)
-        except (DamagedError, MissingError) as error:
-            self.damaged.append(str(error))
-            return {}
-        self._note(run, stored.meta)
-        return stored.arrays
+        run, member = self.plan.result_of(case)
+        if self._last is None or self._last[0] != run:
+            try:
+                stored = self.store.get(self.plan.runs[run].id)
+            except (DamagedError, MissingError) as error:
+                self.damaged.append(str(error))
+                return {}
+            self._note(run, stored.meta)
+            self._last = (run, stored.arrays)
+        arrays = self._last[1]
+        if member < 0:
+            return arrays
+        return {name: array[member] for name, array in arrays.items() if name != FAILURE}
 
     def spent(self, case: int) -> dict[str, np.ndarray]:
         """Times of a case in s, under their names in `model.quantities.SWEEP`."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
 from demflow.model.outcome import Status
-from demflow.model.quantities import STOPPED
+from demflow.model.quantities import FAILURE, STOPPED
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.products import DamagedError, MissingError, Store
 
@@ -46,9 +47,20 @@ def verdict(plan: Plan, store: Store, stored: np.ndarray, case: int) -> Verdict:
             stage = plan.stage_of(run).name
             return Verdict(Status(failure["status"]), f"{stage}: {failure['message']}")
         return Verdict(Status.NOT_RUN, "not run yet; `demflow run` computes it")
+    run, member = plan.result_of(case)
+    if member >= 0:
+        with suppress(MissingError, DamagedError):
+            why = str(_failures(store, plan.runs[run].id)[member])
+            if why:
+                return Verdict(Status.FAILED, f"{plan.stage_of(run).name}: {why}")
     if any(plan.cases[case, row] >= 0 for row in plan.marches):
         with suppress(MissingError, DamagedError):  # it is missed when it is read
-            observed = plan.runs[int(plan.cases[case, plan.observed])].id
-            if stopped := store.meta(observed).get(STOPPED):
+            if stopped := store.meta(plan.runs[run].id).get(STOPPED):
                 return Verdict(Status.STOPPED, stopped)
     return Verdict(Status.DONE)
+
+
+@lru_cache(maxsize=2)
+def _failures(store: Store, identity: str) -> np.ndarray:
+    """Why each member of a family has no result, (members,) words, "" where it has one."""
+    return store.get(identity).arrays[FAILURE]

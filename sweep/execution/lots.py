@@ -67,6 +67,8 @@ class Lots:
     def _task(self, run: int) -> Task:
         entry, stage = self.plan.runs[run], self.plan.stage_of(run)
         reads = stage.given(self.scene_of(entry.case), entry.leg)
+        if stage.brings is not None:
+            reads["members"] = tuple(stage.brings(self.scene_of(c)) for c in entry.members)
         parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
         return Task(run, entry.id, stage.name, reads, parents)
 

@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.sweep.plan.graph import CostClass, Plan
+from demflow.sweep.plan.graph import Plan
+from demflow.sweep.plan.runs import CostClass
 from demflow.sweep.store.costs import Costs
 
 LOT_SECONDS = 0.15  # a lot of short runs lasts at least about this long

@@ -13,15 +13,16 @@ from __future__ import annotations
 
 import hashlib
 import importlib
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from demflow.sweep.plan.families import Families
 from demflow.sweep.plan.identity import encode, product_id
+from demflow.sweep.plan.runs import CostClass, StageRun, origin
 
 if TYPE_CHECKING:
     from demflow.model.scene import Scene, SceneError
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 
 
 MODEL = "demflow.model.stages:STAGES"
-SIZE_STEP = 0.1  # in the logarithm: sizes closer than that cost the same
 
 
 def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
@@ -55,52 +55,6 @@ def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
     return stages
 
 
-class CostClass(NamedTuple):
-    """What decides the cost of a stage run."""
-
-    stage: str
-    version: int
-    variant: str  # how it is solved, "" where there is one way only
-    step: int  # ln(its size) / SIZE_STEP
-    kept: int = 0  # ln(1 + numbers of its product that times and the like make) / SIZE_STEP
-    held: int = 0  # the same of numbers held at once
-
-    @classmethod
-    def of(cls, stage: Stage, scene: Scene) -> CostClass:
-        """The kind of a stage's run for a scene."""
-        method = stage.reads.get("method")
-        variant = "" if method is None else str(method(scene))
-        size = round(math.log(stage.size(scene)) / SIZE_STEP)
-        kept, held = (round(math.log1p(of(scene)) / SIZE_STEP) for of in (stage.kept, stage.held))
-        return cls(stage.name, stage.version, variant, size, kept, held)
-
-    @property
-    def bytes_kept(self) -> float:
-        """Bytes of its product that times, rate changes and probes make."""
-        return 8.0 * math.expm1(self.kept * SIZE_STEP)
-
-    @property
-    def bytes_held(self) -> float:
-        """Bytes that these make a worker hold at once."""
-        return 8.0 * math.expm1(self.held * SIZE_STEP)
-
-    @property
-    def key(self) -> str:
-        """All but the size, as one word."""
-        return f"{self.stage}/{self.version}/{self.variant}"
-
-
-class StageRun(NamedTuple):
-    """One run of one stage, wanted by one case or by many."""
-
-    id: str  # identity of its product
-    stage: int  # row of the table of stages
-    parents: tuple[int, ...]  # runs whose products it takes, −1 for a stage that is not run
-    case: int  # the first case that wants it
-    kind: CostClass
-    leg: int = 0  # which one of a march; each has the one before among its parents
-
-
 @dataclass(frozen=True)
 class Plan:
     """Distinct stage runs, parents first, and which of them each case is made of."""
@@ -111,11 +65,25 @@ class Plan:
     cases: np.ndarray
     impossible: dict[int, str] = field(default_factory=dict)  # cases without a scene, and why
     left_out: frozenset[int] = frozenset()  # combinations of the axes that are no cases
+    # (cases,) int32: place of a case among the members of the run that serves it; empty where no
+    # case is one of a family, −1 for one that is not
+    member: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int32))
 
     @cached_property
     def observed(self) -> int:
         """The row of the table whose product is what is asked of a case."""
         return next(k for k, stage in enumerate(self.stages) if stage.observed)
+
+    @cached_property
+    def served(self) -> int:
+        """The row of the table whose runs serve the members of a family; −1 without one."""
+        rows = [k for k, stage in enumerate(self.stages) if stage.family and not stage.place]
+        return rows[-1] if rows else -1
+
+    def result_of(self, case: int) -> tuple[int, int]:
+        """The run whose product is what is asked of a case; its place in it, −1 where all is."""
+        member = int(self.member[case]) if len(self.member) else -1
+        return int(self.cases[case, self.observed if member < 0 else self.served]), member
 
     @cached_property
     def marches(self) -> list[int]:
@@ -172,6 +140,8 @@ class Plan:
         for number, case in enumerate(self.cases):
             for run in case:
                 digest.update(self.runs[run].id.encode() if run >= 0 else b"-")
+            if len(self.member) and self.member[number] >= 0:
+                digest.update(b"member %d" % self.member[number])
             digest.update(self.impossible.get(number, "").encode() + b"\n")
         return digest.hexdigest()
 
@@ -180,8 +150,9 @@ def make_plan(scenes: Iterable[Scene | SceneError | None], stages: tuple[Stage, 
     """Return the plan of the cases whose scenes are given, in their order.
 
     A stage runs where its `wanted` says so; its parents are passed over where theirs
-    says no. A march runs once a leg; cases that begin alike share their first legs. An error in
-    the place of a scene makes a case of which nothing is run, None a combination that is no case.
+    says no. A march runs once a leg; cases that begin alike share their first legs. Where many
+    are a family, a few runs serve them all. An error in the place of a scene makes a case of which
+    nothing is run, None a combination that is no case.
     """
     row = {stage.name: k for k, stage in enumerate(stages)}
     parent_rows = [[row[name] for name in stage.parents] for stage in stages]
@@ -192,6 +163,7 @@ def make_plan(scenes: Iterable[Scene | SceneError | None], stages: tuple[Stage, 
     cases: list[np.ndarray] = []
     impossible: dict[int, str] = {}
     left_out: set[int] = set()
+    families = Families(stages, parent_rows, readers)
     for number, scene in enumerate(scenes):
         own = np.full(len(stages), -1, dtype=np.int32)
         cases.append(own)
@@ -220,13 +192,10 @@ def make_plan(scenes: Iterable[Scene | SceneError | None], stages: tuple[Stage, 
                     kind = kinds.setdefault(kind, kind)
                     runs.append(StageRun(identity, k, parents, number, kind, leg))
                 own[k] = run
+        families.note(number, scene, own)
     table = np.array(cases, dtype=np.int32).reshape(-1, len(stages))
-    return Plan(stages, runs, table, impossible, frozenset(left_out))
-
-
-def origin(stage: Stage) -> int | tuple[int, str]:
-    """What made a stage's results: its version, with its sources where these are told apart."""
-    return (stage.version, stage.sources) if stage.sources else stage.version
+    runs, table, member = families.joined(runs, table)
+    return Plan(stages, runs, table, impossible, frozenset(left_out), member)
 
 
 class _Reader:

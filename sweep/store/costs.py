@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from demflow.sweep.plan.graph import SIZE_STEP, CostClass
+from demflow.sweep.plan.runs import SIZE_STEP, CostClass
 from demflow.sweep.store.durable import write_durably
 from demflow.sweep.store.products import Store
 from demflow.sweep.store.versions import machine

@@ -17,7 +17,8 @@ from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, We
 from demflow.model.stages import STAGES, grain_count
 from demflow.sweep.command.forecast import forecast
 from demflow.sweep.execution.memory import peak_memory
-from demflow.sweep.plan.graph import SIZE_STEP, CostClass, make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.plan.runs import SIZE_STEP, CostClass
 from demflow.sweep.store.costs import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
 from demflow.sweep.store.products import Store
 from tests.sweep import toys

@@ -15,7 +15,8 @@ from demflow.sweep.execution.schedule import (
     Schedule,
     State,
 )
-from demflow.sweep.plan.graph import CostClass, Plan, StageRun, stage_table
+from demflow.sweep.plan.graph import Plan, stage_table
+from demflow.sweep.plan.runs import CostClass, StageRun
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)[:3]

@@ -362,7 +362,7 @@ def _record(
     its modes do; what is stored tells the volume.
 
     The pressure (n,) at the last lag, and the largest volume that had to be put right (see
-    `_balanced`) over the volume moved.
+    `balanced`) over the volume moved.
     """
     records, lag = problem.records, problem.lag
     alone = records.rows @ direct + records.direct[source]
@@ -370,7 +370,7 @@ def _record(
     through = records.rows[flows] @ direct
     given = float(problem.system.source(source).sum() + through.sum())
     if own_flow is None:
-        pressure, integral, stored, missing = _balanced(
+        pressure, integral, stored, missing = balanced(
             problem.system, basis, lag, basis.rows[flows].sum(axis=0), given
         )
     else:
@@ -397,7 +397,7 @@ def _record(
     return basis.vectors @ pressure[-1] + direct, float(repaired)
 
 
-def _balanced(
+def balanced(
     system: System, basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients (l, m) of the pressure and of its integral, and the volume stored (l,), m³.

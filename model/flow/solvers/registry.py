@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.flow.equation.outputs import outputs
-from demflow.model.flow.equation.probes import between_pores
+from demflow.model.flow.equation.probes import Probes, between_pores
 from demflow.model.flow.equation.problem import Answer, Problem, Steps
 from demflow.model.flow.equation.sites import WellSite, change_times, time_since
 from demflow.model.flow.equation.system import assemble
@@ -27,6 +27,7 @@ from demflow.model.flow.solvers.forecast import (
 from demflow.model.flow.solvers.implicit import implicit
 from demflow.model.flow.solvers.initial import (
     STARTS,
+    Initial,
     at_rest,
     decaying,
     none_at_all,
@@ -195,6 +196,66 @@ def flow(
     where the answer would not fit.
     """
     _check(bulk_modulus, times, tolerance, safety_factor, method, step, initial)
+    posed = pose(
+        network,
+        apertures,
+        region=region,
+        bulk_modulus=bulk_modulus,
+        wells=wells,
+        sides=sides,
+        active=active,
+        probes=probes,
+        times=times,
+        tolerance=tolerance,
+        check_flows=check_flows,
+        decades=decades,
+        initial=initial,
+        record_map=record_map,
+    )
+    problem = posed.problem._replace(safety_factor=safety_factor)
+    if step == "paper":
+        own = problem.system.domain
+        problem = problem._replace(step=paper_step(network, apertures, bulk_modulus, own))
+    _foresee(problem)
+    start = none_at_all(problem)
+    if initial == "steady":
+        start = at_rest(problem)
+        moves = np.arange(problem.system.source_count) >= problem.system.fixed_count
+        problem = problem._replace(active=problem.active & moves)
+    with one_blas_thread():
+        choice, answer = solve(method, problem)
+    _check_finite(answer, choice.method)
+    met = answer.time_error <= tolerance if SOLVERS[choice.method].controls_error else math.nan
+    if initial == "gradient":
+        answer, start = decaying(problem, answer)
+    return responses_of(posed._replace(problem=problem), answer, start, met, choice)
+
+
+class Posed(NamedTuple):
+    """A problem, and what of the probes is to be told beside its answer."""
+
+    problem: Problem
+    probed: Probes
+
+
+def pose(
+    network: Network,
+    apertures: Apertures,
+    *,
+    region: Region,
+    bulk_modulus: float,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+    active: tuple[bool, ...],
+    probes: tuple[Probe, ...],
+    times: tuple[float, ...],
+    tolerance: float,
+    check_flows: bool,
+    decades: tuple[int, ...] | None,
+    initial: str = "uniform",
+    record_map: bool = False,
+) -> Posed:
+    """The flow equation of a case and what is asked of it; all as `flow` takes it."""
     system = assemble(
         network,
         apertures,
@@ -214,27 +275,20 @@ def flow(
         active=np.asarray(active, dtype=bool),
         domain=_mapped(network, apertures) if record_map else np.empty(0, dtype=np.int64),
         tolerance=tolerance,
-        safety_factor=safety_factor,
-        step=paper_step(network, apertures, bulk_modulus, system.domain)
-        if step == "paper"
-        else None,
+        safety_factor=1.0,
         check_flows=check_flows,
         steps=_steps(wells, len(sides), initial, decades)
         if decades is not None or sum(active) < 2
         else None,
     )
-    _foresee(problem)
-    start = none_at_all(problem)
-    if initial == "steady":
-        start = at_rest(problem)
-        moves = np.arange(system.source_count) >= system.fixed_count
-        problem = problem._replace(active=problem.active & moves)
-    with one_blas_thread():
-        choice, answer = solve(method, problem)
-    _check_finite(answer, choice.method)
-    met = answer.time_error <= tolerance if SOLVERS[choice.method].controls_error else math.nan
-    if initial == "gradient":
-        answer, start = decaying(problem, answer)
+    return Posed(problem, probed)
+
+
+def responses_of(
+    posed: Posed, answer: Answer, start: Initial, met: float, choice: Choice
+) -> Responses:
+    """What the *flow* stage returns, from what a solver has answered."""
+    problem, system = posed.problem, posed.problem.system
     return Responses(
         lag=problem.lag,
         output=answer.output,
@@ -248,8 +302,8 @@ def flow(
         tolerance_met=np.asarray(float(met)),
         residual=np.asarray(answer.residual),
         work=np.asarray(answer.work),
-        probe_reached=system.reached(probed.own),
-        probe_place=probed.place,
+        probe_reached=system.reached(posed.probed.own),
+        probe_place=posed.probed.place,
         isolated=np.asarray(system.isolated),
         initial_output=start.output,
         initial_cumulative=start.cumulative,

@@ -1,0 +1,349 @@
+"""Families of cases that differ in how wide their fractures are (stages *emulator*, *emulate*).
+
+*emulator* makes one small model from some members of a family, *emulate* answers a block of them
+with it and observes each; one that the model is not proven good for is solved by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from demflow.model.families import Member, alike
+from demflow.model.flow.solvers.affine import Share, terms_of
+from demflow.model.flow.solvers.contour import contour
+from demflow.model.flow.solvers.emulator import build, emulated
+from demflow.model.flow.solvers.initial import none_at_all
+from demflow.model.flow.solvers.registry import Choice, Posed, flow, pose, responses_of
+from demflow.model.history import superposed
+from demflow.model.network.apertures import (
+    branch_apertures,
+    open_pipes,
+    stress_across,
+    with_branches,
+)
+from demflow.model.observe import flowed, observe, smallest_pore
+from demflow.model.outcome import ModelError, OutOfMemory
+from demflow.model.products import (
+    Apertures,
+    Emulator,
+    Network,
+    Packing,
+    Permeability,
+    Responses,
+    StressState,
+    Walk,
+)
+from demflow.model.quantities import FAILURE, checked
+from demflow.model.region import Region
+from demflow.model.scene import Fracture, Matrix, acting_lines
+from demflow.model.threads import one_blas_thread
+
+# Classes of branches that widen alike, each with terms of its own.
+MOST_CLASSES = 6
+
+# Part of an aperture by which branches of one class may differ: round-off.
+ROUND_OFF = 1e-12
+
+EMULATED = "emulated"  # the solver's name in results
+
+
+class Rock(NamedTuple):
+    """What all members of a family share."""
+
+    network: Network
+    walked: Walk
+    stress: StressState | None
+    calibrated: Permeability | None
+    region: Region
+    matrix: Matrix
+    viscosity: float
+
+    def opened(self, fractures: tuple[Fracture, ...]) -> Apertures:
+        """The open pipes of one member."""
+        return open_pipes(
+            self.network,
+            self.walked,
+            self.stress,
+            self.calibrated,
+            region=self.region,
+            matrix=self.matrix,
+            fractures=fractures,
+            viscosity=self.viscosity,
+        )
+
+    def widths(self, members: list[tuple[Fracture, ...]]) -> Iterator[np.ndarray]:
+        """Hydraulic apertures of the branches of each member, (e,) m."""
+        across = stress_across(self.walked, self.stress, members[0])
+        lines = acting_lines(members[0], self.region)
+        of_line = np.array([line.fracture for line in lines], dtype=np.int64)
+        for fractures in members:
+            given = [fracture.aperture or 0.0 for fracture in fractures]
+            if all(isinstance(one, float | int) for one in given):
+                own = np.array(given, dtype=float)[of_line]
+            else:
+                own = np.array(
+                    [line.aperture or 0.0 for line in acting_lines(fractures, self.region)]
+                )
+            yield branch_apertures(self.walked, across, fractures, of_line, own)
+
+
+def emulator(
+    network: Network,
+    walked: Walk,
+    stress: StressState | None,
+    calibrated: Permeability | None,
+    *,
+    region: Region,
+    matrix: Matrix,
+    viscosity: float,
+    fractures: tuple[Any, ...],
+    asked: dict[str, Any],
+    members: tuple[tuple[Fracture, ...], ...],
+) -> Emulator:
+    """The small model of a family (the *emulator* stage).
+
+    Parameters
+    ----------
+    network, walked, stress, calibrated : products that all of the family share.
+    region, matrix, viscosity : parts of the scene.
+    fractures : what the family's fractures have in common, see `model.families.alike`.
+    asked : what of the flow is wanted, see `model.families.asked`.
+    members : the fractures of those cases that the model is made of, the base first.
+
+    Where the family has no such model, the product says why: apertures that are no few factors of
+    one another, barriers whose worth goes with the aperture that they cut, too many outputs.
+    """
+    _check(fractures, members)
+    rock = Rock(network, walked, stress, calibrated, region, matrix, viscosity)
+    try:
+        widths = np.array(list(rock.widths(list(members))))
+        number, shares = _classes(rock, members[0], widths)
+        base = rock.opened(members[0])
+        problem = _pose(rock, base, asked).problem
+        terms = terms_of(
+            problem,
+            lambda k: _pose(rock, _doubled(base, number == k), asked).problem,
+            int(number.max(initial=0)),
+        )
+        if terms is None:
+            raise ModelError("its flow equations are no sums of the same few terms")
+        with one_blas_thread():
+            model = build(terms, problem, shares, asked["tolerance"])
+    except (ModelError, OutOfMemory) as error:
+        return _none(str(error))
+    return model._replace(branch_class=number, branch_aperture=widths[0])
+
+
+def emulate(
+    packing: Packing,
+    stress: StressState | None,
+    network: Network,
+    walked: Walk,
+    calibrated: Permeability | None,
+    model: Emulator,
+    *,
+    region: Region,
+    matrix: Matrix,
+    viscosity: float,
+    fractures: tuple[Any, ...],
+    asked: dict[str, Any],
+    wanted: tuple[str, ...],
+    members: tuple[Member, ...],
+) -> dict[str, np.ndarray]:
+    """What is observed of each of some members of a family, (members, …) (the *emulate* stage).
+
+    Parameters are those of `emulator`, and `wanted`, what is observed. Under the names of
+    `model.quantities.CASE`; beside them `failure`, words for those that have no result.
+    """
+    every = [one.fractures for one in members]
+    _check(fractures, tuple(every))
+    rock = Rock(network, walked, stress, calibrated, region, matrix, viscosity)
+    family = _Family(rock, model, every[0], asked)
+    controls = members[0].controls
+    state = observe(
+        *(packing, stress, None, network, family.base, None, None, None, None),
+        region=region,
+        controls=controls,
+        wanted=wanted,
+    )
+    found = []
+    with one_blas_thread():
+        for one, width in zip(members, rock.widths(every), strict=True):
+            try:
+                apertures, responses = family.answer(one.fractures, width)
+                seen = {**state, "smallest_pore": smallest_pore(apertures, network.inside)}
+                if str(responses.solver) == EMULATED:
+                    seen["emulator_snapshots"] = model.snapshots
+                history = superposed(responses, one.controls)
+                seen |= flowed(history, None, one.controls, wanted)
+                seen = {name: np.asarray(value) for name, value in seen.items()}
+                checked(seen)
+                found.append({**seen, FAILURE: np.asarray("")})
+            except (ModelError, OutOfMemory) as error:
+                found.append({FAILURE: np.asarray(str(error))})
+    return _stacked(found)
+
+
+class _Family:
+    """Answers members of a family, by the small model where that is proven good."""
+
+    def __init__(
+        self, rock: Rock, model: Emulator, fractures: tuple[Fracture, ...], asked: dict[str, Any]
+    ) -> None:
+        self.rock, self.model, self.asked = rock, model, asked
+        self.base = rock.opened(fractures)
+        self.posed = _pose(rock, self.base, asked)
+        lag = self.posed.problem.lag
+        self.around = contour(lag[lag > 0.0])
+        self.start = none_at_all(self.posed.problem)
+        self._last: tuple[bytes, tuple[Apertures, Responses]] | None = None
+
+    def answer(
+        self, fractures: tuple[Fracture, ...], width: np.ndarray
+    ) -> tuple[Apertures, Responses]:
+        """Open pipes and responses of a member whose branches have apertures (e,) m."""
+        key = width.tobytes()
+        if self._last is None or self._last[0] != key:
+            self._last = (key, self._emulated(width) or self._solved(fractures))
+        return self._last[1]
+
+    def _emulated(self, width: np.ndarray) -> tuple[Apertures, Responses] | None:
+        """By the small model; None where its error is beyond the tolerance."""
+        share = _share(self.model, width)
+        if share is None:
+            self.why = str(self.model.reason) or "its apertures are no factors of the family's"
+            return None
+        found = emulated(self.model, self.posed.problem, share, self.around)
+        tolerance = self.asked["tolerance"]
+        if not found.error <= tolerance:
+            self.why = f"the bound of its error is {found.error:.2g}"
+            return None
+        vectors = self.model.conductance.shape[1]
+        reason = (
+            f"one model of {vectors} vectors from {int(self.model.snapshots)} cases answers the "
+            f"family, each with an error of proven bound"
+        )
+        choice = Choice(EMULATED, reason, self.posed.problem)
+        opened = with_branches(self.base, self.rock.walked, width, self.rock.viscosity)
+        return opened, responses_of(self.posed, found.answer, self.start, 1.0, choice)
+
+    def _solved(self, fractures: tuple[Fracture, ...]) -> tuple[Apertures, Responses]:
+        """By itself, as if there were no family."""
+        opened = self.rock.opened(fractures)
+        alone = flow(
+            self.rock.network,
+            opened,
+            region=self.rock.region,
+            method="auto",
+            safety_factor=1.0,
+            record_map=False,
+            **self.asked,
+        )
+        reason = f"{alone.solver_reason}; not emulated: {self.why}"
+        return opened, alone._replace(solver_reason=np.asarray(reason))
+
+
+def _check(fractures: tuple[Any, ...], members: tuple[tuple[Fracture, ...], ...]) -> None:
+    """Raise ValueError where members are of another family."""
+    if any(alike(one) != fractures for one in members):
+        raise ValueError("the members of a family differ in more than how wide fractures are")
+
+
+def _pose(rock: Rock, apertures: Apertures, asked: dict[str, Any]) -> Posed:
+    return pose(rock.network, apertures, region=rock.region, **asked)
+
+
+def _classes(
+    rock: Rock, fractures: tuple[Fracture, ...], widths: np.ndarray
+) -> tuple[np.ndarray, list[Share]]:
+    """Class of each branch, (e,) 0 of those that stay, and the shares of each member.
+
+    Branches whose apertures (members, e) m are those of the first member times the same factors
+    are one class. Raises ModelError where they are too many, or a barrier's worth goes with them.
+    """
+    walked = rock.walked
+    resists = np.array(
+        [
+            (fractures[k].resistance_at(rock.viscosity) or 0.0) > 0.0
+            for k in _of_line(rock, fractures)
+        ]
+    )
+    if np.any(resists[walked.cut_line]):
+        raise ModelError("barriers across its fractures are worth what the aperture makes of them")
+    factor = widths / widths[0]
+    digits = np.round(np.log(factor), 10)
+    _, first, number = np.unique(digits, axis=1, return_index=True, return_inverse=True)
+    stays = np.all(digits[:, first] == 0.0, axis=0)
+    rank = np.cumsum(~stays) * ~stays
+    if rank.max(initial=0) > MOST_CLASSES:
+        raise ModelError(
+            f"its apertures go {rank.max()} ways, more than {MOST_CLASSES}: as if drawn anew"
+        )
+    number = rank[number.ravel()]
+    found = [share_of(number, one) for one in factor]
+    shares = [one for one in found if one is not None]
+    if len(shares) < len(found) or not shares:
+        raise ModelError("its apertures are no few factors of one another")
+    return number, shares
+
+
+def _of_line(rock: Rock, fractures: tuple[Fracture, ...]) -> list[int]:
+    return [line.fracture for line in acting_lines(fractures, rock.region)]
+
+
+def _share(model: Emulator, width: np.ndarray) -> Share | None:
+    """The shares of a member whose branches have apertures (e,) m; None where it has none."""
+    if not model.usable or width.shape != model.branch_aperture.shape:
+        return None
+    return share_of(model.branch_class, width / model.branch_aperture)
+
+
+def share_of(number: np.ndarray, factor: np.ndarray) -> Share | None:
+    """Shares from the class of each branch and its aperture over the base's, (e,).
+
+    None where branches of one class differ in it.
+    """
+    _, first = np.unique(np.append(0, number), return_index=True)
+    each = np.append(1.0, factor)[first]
+    if np.any(np.abs(np.append(1.0, factor) - each[np.append(0, number)]) > ROUND_OFF * each.max()):
+        return None
+    return Share(each**3, each)
+
+
+def _doubled(base: Apertures, grows: np.ndarray) -> Apertures:
+    """The base with twice the conductance and storage in some branches, (e,) bool."""
+    half = np.where(grows, 0.5 * base.branch_aperture * base.branch_length, 0.0)
+    nodes = len(base.node_x)
+    added = np.bincount(base.branch_a, half, nodes) + np.bincount(base.branch_b, half, nodes)
+    return base._replace(
+        branch_conductance=np.where(grows, 2.0, 1.0) * base.branch_conductance,
+        node_volume=base.node_volume + added,
+    )
+
+
+def _none(why: str) -> Emulator:
+    """No model, and why."""
+    empty = {name: np.zeros(0) for name in Emulator._fields}
+    return Emulator(
+        **{
+            **empty,
+            "usable": np.asarray(0.0),
+            "reason": np.asarray(why),
+            "snapshots": np.asarray(0),
+            "largest_error": np.asarray(np.inf),
+        }
+    )
+
+
+def _stacked(found: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """The arrays of all members, one beside the other; NaN and no words where one has none."""
+    names = {name: array for one in found for name, array in one.items()}
+    stacked = {}
+    for name, like in names.items():
+        words = like.dtype.kind in "US"
+        nothing = np.asarray("") if words else np.full(like.shape, np.nan)
+        stacked[name] = np.array([one.get(name, nothing) for one in found])
+    return stacked

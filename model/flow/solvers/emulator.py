@@ -1,0 +1,451 @@
+"""Transients of a family of flow equations by one small model, each with a proven error.
+
+A Galerkin projection on solutions (G + s C)⁻¹ b, at some real s and of some members of the family,
+meets the response there, its slope in s and that in every transmissivity. With the same loads on
+either side, what it lacks at any frequency is bᵀe = r̄ᵀ (G + s C)⁻¹ r, r the residual; for real s
+that is positive, so that the projection is a lower bound. In modulus it is at most
+
+    ‖r‖² / cos(½ arg s),   ‖r‖² = r̄ᵀ (G' + |s| C')⁻¹ r,
+
+for any member whose G' ≤ G and C' ≤ C, since the real part of (G + s C) e^(−½ i arg s) is
+G + |s| C times that cosine. A contour takes this to a bound at every time (`contour.py`). The norm
+is the mean of |zᵀr|² over samples z of a normal law with the covariance (G' + |s| C')⁻¹, one
+solve each (Balabanov & Nouy 2019, Adv. Comput. Math. 45, 2969–3019), taken `CAUTION` times larger.
+
+Snapshots are taken where the bound is largest until it is within the tolerance (greedy; Veroy &
+Patera 2005, Int. J. Numer. Meth. Fluids 47, 773–788).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.sparse import csr_array
+
+from demflow.model.flow.equation.problem import Answer, Problem, empty_answer
+from demflow.model.flow.linear.factor import Factor, analyse, factorise, solve
+from demflow.model.flow.solvers.affine import Share, Terms
+from demflow.model.flow.solvers.contour import Contour, contour
+from demflow.model.flow.solvers.krylov import balanced
+from demflow.model.flow.solvers.share import shared_out
+from demflow.model.flow.solvers.subspace import Basis, Modes
+from demflow.model.memory import foresee
+from demflow.model.outcome import ModelError
+from demflow.model.products import Emulator
+
+# Samples that make up a norm, and how much larger it is taken: one of a million χ² of as many
+# degrees of freedom falls so low.
+SAMPLES = 32
+CAUTION = 4.0
+SEED = 20
+
+# Poles of snapshots: from below the inverse of the last time, each so many times the one before,
+# to beyond that of the first; and images taken at each.
+SLOWEST, LADDER, FASTEST = 0.1, 10.0, 10.0
+IMAGES = 2
+
+MOST_VECTORS = 240
+MOST_SNAPSHOTS = 40
+MOST_PORTS = 6  # outputs held to the tolerance; each adds its own vectors
+MARGIN = 0.5  # of the tolerance that members which were looked at are brought to
+
+# Part of what a bound may be of the largest share of any pole, for that pole to be worth a solve.
+WORTH = 0.1
+NOTHING = 1e-9  # part of a vector that is round-off once the known part is taken away
+
+# A member that has so little of the reference's matrix gets a reference of its own.
+FAR = 1e-2
+MOST_REFERENCES = 4
+
+
+class Emulated(NamedTuple):
+    """What the small model answers for one member."""
+
+    answer: Answer
+    error: float  # bound of the relative error of all that is held to the tolerance
+    noise: float  # what of it is round-off
+    worst: np.ndarray  # (r,) of the contour's radii, what each has in that
+
+
+class Projected(NamedTuple):
+    """The flow equation of one member on the small space; wells that store nothing eliminated."""
+
+    decay: np.ndarray  # (m,) 1/s
+    vectors: np.ndarray  # (m, m) modes
+    follow: np.ndarray  # (w, m) how such wells follow the space
+    inverse: np.ndarray  # (w, w)
+    ports: np.ndarray  # (m, o) rows of the outputs
+    at_wells: np.ndarray  # (w, o) the same at these wells
+
+
+def projected(model: Emulator, share: Share) -> Projected:
+    """Project the flow equation of one member."""
+    w = int(model.wells)
+    G = np.tensordot(share.conductance, model.conductance, 1)
+    C = np.tensordot(share.storage, model.storage, 1)
+    inverse = np.linalg.inv(G[:w, :w])
+    follow = -inverse @ G[:w, w:]
+    decay, vectors = eigh(G[w:, w:] + G[w:, :w] @ follow, C[w:, w:], check_finite=False)
+    ports = np.tensordot(share.conductance, model.ports, 1)
+    if model.sealed:
+        decay[0] = 0.0  # of the constants, but for round-off
+    return Projected(
+        np.maximum(decay, 0.0),
+        vectors,
+        follow,
+        inverse,
+        ports[w:] + follow.T @ ports[:w],
+        ports[:w],
+    )
+
+
+def round_off(small: Projected, last: float) -> float:
+    """Relative round-off of the slowest mode that decays at all, up to the time `last` (s)."""
+    slowest = max(float(small.decay[small.decay > 0.0].min(initial=np.inf)), 1.0 / last)
+    return float(np.finfo(float).eps * small.decay[-1] / slowest) if np.isfinite(slowest) else 0.0
+
+
+def transfer(model: Emulator, share: Share, frequency: np.ndarray) -> np.ndarray:
+    """The response of each port to a load at each, at frequencies (f,) 1/s, (f, o, o)."""
+    small = projected(model, share)
+    loads = small.vectors.T @ small.ports
+    inner = loads[None] / (small.decay[:, None] + frequency[:, None, None])
+    return np.asarray(loads.T @ inner + small.at_wells.T @ small.inverse @ small.at_wells)
+
+
+def residuals(model: Emulator, share: Share, small: Projected, frequency: np.ndarray) -> np.ndarray:
+    """Squared norm of the residual of each port that counts, (r, a, p), without caution.
+
+    At frequencies (r, a) 1/s of which each row has one modulus, that of a row of the samples.
+    """
+    reference, reach = _reference(model, share)
+    seen_g = np.tensordot(share.conductance, model.seen_conductance[reference], 1)
+    seen_c = np.tensordot(share.storage, model.seen_storage[reference], 1)
+    seen_ports = np.tensordot(share.conductance, model.seen_ports[reference], 1)
+    counted = np.flatnonzero(model.counted)
+    rows, angles = frequency.shape
+    size = np.empty((rows, angles, len(counted)))
+    for k, port in enumerate(counted):
+        load = small.vectors.T @ small.ports[:, port]
+        found = small.vectors @ (load[:, None] / (small.decay[:, None] + frequency.ravel()))
+        wells = small.follow @ found + (small.inverse @ small.at_wells[:, port])[:, None]
+        found = np.concatenate([wells, found]).reshape(-1, rows, angles).transpose(1, 0, 2)
+        moved = found * frequency[:, None, :]
+        both = np.concatenate([found.real, found.imag], axis=2)
+        rates = np.concatenate([moved.real, moved.imag], axis=2)
+        left = -(seen_g @ both + seen_c @ rates)  # (r, samples, 2 a)
+        left[:, :, :angles] += seen_ports[:, :, port, None]
+        squares = np.mean(left**2, axis=1)
+        size[:, :, k] = squares[:, :angles] + squares[:, angles:]
+    return size / reach
+
+
+def _reference(model: Emulator, share: Share) -> tuple[int, float]:
+    """The reference whose matrix bounds that of a member best, and what part of it does."""
+    reach = np.minimum(
+        (share.conductance / model.reference_conductance).min(axis=1),
+        (share.storage / model.reference_storage).min(axis=1),
+    )
+    best = int(np.minimum(reach, 1.0).argmax())
+    return best, float(min(1.0, reach[best]))
+
+
+def emulated(model: Emulator, problem: Problem, share: Share, around: Contour) -> Emulated:
+    """The responses of one member of the family whose base poses `problem`, and their error.
+
+    `around` is the contour of its lags.
+    """
+    small = projected(model, share)
+    records, lag = problem.records, problem.lag
+    direct = np.tensordot(share.conductance, model.direct, 1)
+    stored = share.storage @ model.stored
+    w, wells = int(model.wells), records.well_rows
+    flows = slice(wells, wells + records.flow_rows)
+    answer = empty_answer(problem)
+    for k in problem.active_sources:
+        well = k - problem.system.fixed_count  # its load is what its row reads, the other sign
+        load, at_wells = -small.ports[:, well], -small.at_wells[:, well]
+        modes = Modes(small.decay, small.vectors, small.vectors.T @ load, np.zeros(len(load)))
+        held = stored[w:] + small.follow.T @ stored[:w]
+        basis = Basis(model.highest[None, w:], modes, small.ports.T, held)
+        own = small.at_wells.T @ (small.inverse @ at_wells)
+        alone = own + direct[k]
+        given = -1.0 + float(own[flows].sum())
+        pressure, integral, volume, missing = balanced(
+            problem.system, basis, lag, basis.rows[flows].sum(axis=0), given
+        )
+        answer.output[k] = pressure @ basis.rows.T + alone
+        answer.cumulative[k, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
+        answer.cumulative[k, :, -1] = volume
+        answer.missing[k] = missing
+    size = residuals(model, share, small, around.frequency)
+    error, worst = _in_time(model, problem, answer, size, around)
+    noise = round_off(small, lag[-1])
+    slow = np.abs(np.log(around.radius * lag[-1])).argmin()
+    at_rest = np.abs(np.einsum("oo->o", transfer(model, share, around.radius[[slow]])[0]))
+    left = np.sqrt(size[slow, 0] / at_rest[model.counted])
+    return Emulated(
+        answer._replace(time_error=error + noise, residual=float(left.max())),
+        error + noise,
+        noise,
+        worst,
+    )
+
+
+def _in_time(
+    model: Emulator, problem: Problem, answer: Answer, size: np.ndarray, around: Contour
+) -> tuple[float, np.ndarray]:
+    """Largest relative error of all that is held to the tolerance; what each radius has in it."""
+    shared = shared_out(problem, lambda _: answer)
+    later = problem.lag > 0.0
+    leaning = np.cos(0.5 * np.angle(around.frequency))
+    counted = np.flatnonzero(model.counted).tolist()
+    largest, worst = 0.0, np.zeros(len(around.radius))
+    for k in problem.active_sources:
+        own = counted.index(k - problem.system.fixed_count)
+        scale = shared.scale(k, answer.output[k][later])
+        for place, port in enumerate(counted):
+            counts = scale[:, port] > 0.0
+            if not counts.any():
+                continue
+            product = CAUTION * np.sqrt(size[:, :, own] * size[:, :, place]) / leaning
+            relative = around.in_time(product)[counts] / scale[counts, port]
+            largest = max(largest, float(relative.max()))
+            shares = around.shares(product)[counts] / scale[counts, port][:, None]
+            worst = np.maximum(worst, shares.max(axis=0))
+    return largest, worst
+
+
+def counted_outputs(problem: Problem) -> np.ndarray:
+    """Which outputs are held to the tolerance, (o,) bool: wells at a rate, flows, probes."""
+    counted = np.ones(problem.records.rows.shape[0], dtype=bool)
+    flows = slice(problem.records.well_rows, problem.records.well_rows + problem.records.flow_rows)
+    counted[flows] = problem.flows_count
+    return counted
+
+
+def build(terms: Terms, problem: Problem, members: list[Share], tolerance: float) -> Emulator:
+    """The small model of a family, good for the members that are given within the tolerance.
+
+    Raises `ModelError` where that takes too many vectors, `OutOfMemory`.
+    """
+    if np.count_nonzero(counted_outputs(problem)) > MOST_PORTS:
+        raise ModelError(f"more than {MOST_PORTS} outputs are held to the tolerance")
+    lag = problem.lag[problem.lag > 0.0]
+    around = contour(lag)
+    space = _Space(terms, problem, around)
+    space.refer(members[0])
+    steps = np.log(FASTEST / lag.min() * lag.max() / SLOWEST) / np.log(LADDER)
+    poles = SLOWEST / lag.max() * LADDER ** np.arange(np.ceil(steps) + 1)
+    near = np.abs(np.log(around.radius[:, None] / poles)) <= 0.5 * np.log(LADDER)
+    space.add(members[0], poles, IMAGES)
+    model = space.model()
+    known = np.full(len(members), np.inf)  # bounds seen last, which fall as the space grows
+    while True:
+        at = int(known.argmax())
+        found = emulated(model, problem, members[at], around)
+        known[at] = found.error
+        if found.noise > 0.5 * MARGIN * tolerance:
+            known[at] = 0.0  # no vector helps
+        if at != known.argmax():
+            continue
+        full = space.count > MOST_VECTORS or len(space.snapshots) > MOST_SNAPSHOTS
+        if known[at] <= MARGIN * tolerance or full:
+            return model._replace(largest_error=np.asarray(known[at]))
+        if _reference(model, members[at])[1] < FAR and len(space.references) < MOST_REFERENCES:
+            space.refer(members[at])
+        else:
+            needs = (near * found.worst[:, None]).max(axis=0)
+            space.add(members[at], poles[needs > WORTH * needs.max()], IMAGES)
+        model = space.model()
+
+
+class _Reference(NamedTuple):
+    """Samples of a normal law at each radius of the contour, and what they see of the space."""
+
+    share: Share
+    samples: list[np.ndarray]  # (n, samples) each
+    conductance: list[np.ndarray]  # (terms, radii, samples, vectors) of what was added each time
+    storage: list[np.ndarray]
+    ports: np.ndarray  # (terms, radii, samples, o)
+
+
+class _Space:
+    """A space that grows by snapshots; its first vectors are the wells that store nothing."""
+
+    def __init__(self, terms: Terms, problem: Problem, around: Contour) -> None:
+        system = terms.system
+        self.terms, self.problem, self.around = terms, problem, around
+        self.symbolic = analyse(system.n, system.edge_i, system.edge_j)
+        ones, edge = np.ones(len(system.edge_i)), np.arange(len(system.edge_i))
+        ends = (np.append(system.edge_i, system.edge_j), np.append(edge, edge))
+        self.incidence = csr_array((np.append(ones, -ones), ends), shape=(system.n, len(edge)))
+        count = len(terms.edge_g)
+        self.acts = [np.flatnonzero(g) for g in terms.edge_g]
+        self.wells = system.n - system.pores
+        self.weight = system.storage  # of the inner product
+        self.vectors = np.eye(system.n)[:, system.pores :]
+        self.conductance = np.zeros((count, 0, 0))
+        self.storage = np.zeros((count, 0, 0))
+        self.references: list[_Reference] = []
+        self.snapshots: list[tuple[Share, np.ndarray]] = []
+        self.images: dict[tuple[bytes, float], int] = {}  # taken so far of a member at a pole
+        self._enter(self.vectors[:, :0])
+        ones_on_pores = np.append(np.ones(system.pores), np.zeros(self.wells))
+        self._append(ones_on_pores[:, None])
+
+    @property
+    def count(self) -> int:
+        """Vectors so far."""
+        return self.vectors.shape[1]
+
+    def factor(self, share: Share, shift: float) -> Factor:
+        """The factor of G + s C of one member."""
+        system = self.terms.at(share)
+        return factorise(self.symbolic, system.edge_g, system.excess + shift * system.storage)
+
+    def add(self, share: Share, poles: np.ndarray, images: int) -> None:
+        """Take snapshots of one member; where it was there before, further images at the pole."""
+        storage = share.storage @ self.terms.storage
+        ports = np.tensordot(share.conductance, self.terms.ports, 1)
+        ports = ports[:, counted_outputs(self.problem)]
+        found = []
+        for pole in poles.tolist():
+            key = (share.conductance.tobytes(), pole)
+            before = self.images.get(key, 0)
+            self.images[key] = before + (images if before == 0 else 1)
+            factor, image = self.factor(share, pole), ports
+            for number in range(self.images[key]):
+                image = solve(factor, image)
+                if number >= before:
+                    found.append(image)
+                image = storage[:, None] * image
+        self.snapshots.append((share, poles))
+        self._append(np.concatenate(found, axis=1))
+
+    def _append(self, found: np.ndarray) -> None:
+        """Orthonormalise pressures (n, k) in the storage of the base, and take them in."""
+        pores, first = self.terms.system.pores, self.count
+        room = self.vectors
+        foresee("the vectors of an emulator", 8.0 * len(found) * (first + found.shape[1]))
+        for column in found.T:
+            vector = np.append(column[:pores], np.zeros(self.wells))
+            vector /= np.sqrt(vector @ (self.weight * vector))
+            for _ in range(2):
+                known = room[:, self.wells :]
+                vector = vector - known @ (known.T @ (self.weight * vector))
+            left = np.sqrt(vector @ (self.weight * vector))
+            if left > NOTHING:
+                room = np.column_stack([room, vector / left])
+        fresh = room[:, first:]
+        self.vectors = room
+        self._enter(fresh)
+
+    def _enter(self, fresh: np.ndarray) -> None:
+        """Bring projections and what samples see up to date with the last vectors (n, k)."""
+        first, every = self.count - fresh.shape[1], self.vectors
+        system, terms = self.terms.system, self.terms
+        sizes = (len(terms.edge_g), self.count, self.count)
+        old_g, old_c = self.conductance, self.storage
+        self.conductance, self.storage = np.zeros(sizes), np.zeros(sizes)
+        known = old_g.shape[1]
+        self.conductance[:, :known, :known], self.storage[:, :known, :known] = old_g, old_c
+        fresh = every[:, known:] if known < first else fresh
+        for t, on in enumerate(self.acts):
+            i, j, g = system.edge_i[on], system.edge_j[on], terms.edge_g[t][on, None]
+            along = (every[i] - every[j]).T @ (g * (fresh[i] - fresh[j]))
+            node = system.fixed_node
+            along += every[node].T @ (terms.fixed_g[t][:, None] * fresh[node])
+            stored = every.T @ (terms.storage[t][:, None] * fresh)
+            for whole, part in ((self.conductance[t], along), (self.storage[t], stored)):
+                whole[:, known:], whole[known:, :] = part, part.T
+        for reference in self.references:
+            self._see(reference, fresh)
+
+    def _see(self, reference: _Reference, fresh: np.ndarray) -> None:
+        """What the samples of a reference see of what flows and is stored by vectors (n, k)."""
+        seen: tuple[list[Any], list[Any]] = ([], [])
+        for t in range(len(self.acts)):
+            flow = self._flow(t, fresh)
+            stored = self.terms.storage[t][:, None] * fresh
+            for into, whole in zip(seen, (flow, stored), strict=True):
+                rows = np.flatnonzero(np.any(whole != 0.0, axis=1))
+                part = whole[rows]
+                into.append([z[rows].T @ part for z in reference.samples])
+        reference.conductance.append(np.array(seen[0]))
+        reference.storage.append(np.array(seen[1]))
+
+    def _flow(self, term: int, vectors: np.ndarray) -> np.ndarray:
+        """What flows out of each unknown by a term at pressures (n, k), m³/s."""
+        on, system = self.acts[term], self.terms.system
+        g = self.terms.edge_g[term][on, None]
+        flow = self.incidence[:, on] @ (
+            g * (vectors[system.edge_i[on]] - vectors[system.edge_j[on]])
+        )
+        links = self.terms.fixed_g[term][:, None] * vectors[system.fixed_node]
+        np.add.at(flow, system.fixed_node, links)
+        return np.asarray(flow)
+
+    def refer(self, share: Share) -> None:
+        """Draw samples by which residuals are measured, of the matrices of one member."""
+        system = self.terms.at(share)
+        size = 8.0 * system.n * SAMPLES * len(self.around.radius)
+        foresee("the samples of an emulator", size)
+        rng = np.random.default_rng(SEED + len(self.references))
+        links = csr_array(
+            (np.ones(len(system.fixed_node)), (system.fixed_node, np.arange(len(system.fixed_g)))),
+            shape=(system.n, len(system.fixed_g)),
+        )
+        samples = []
+        for radius in self.around.radius:
+            load = self.incidence @ (
+                np.sqrt(system.edge_g)[:, None] * rng.standard_normal((len(system.edge_g), SAMPLES))
+            )
+            load += links @ (
+                np.sqrt(system.fixed_g)[:, None]
+                * rng.standard_normal((len(system.fixed_g), SAMPLES))
+            )
+            load += np.sqrt(radius * system.storage)[:, None] * rng.standard_normal(load.shape)
+            samples.append(solve(self.factor(share, radius), load))
+        ports = np.array([[z.T @ rows for z in samples] for rows in self.terms.ports])
+        reference = _Reference(share, samples, [], [], ports)
+        self.references.append(reference)
+        self._see(reference, self.vectors)
+
+    def model(self) -> Emulator:
+        """The small model of the space as it is."""
+        terms, referred = self.terms, self.references
+        members = [share for share, _ in self.snapshots]
+        return Emulator(
+            wells=np.asarray(self.wells),
+            conductance=self.conductance,
+            storage=self.storage,
+            stored=terms.storage @ self.vectors,
+            sealed=np.asarray(float(len(terms.system.fixed_node) == 0)),
+            highest=np.abs(self.vectors).max(axis=0),
+            ports=np.einsum("tno,nq->tqo", terms.ports, self.vectors),
+            direct=terms.direct,
+            counted=counted_outputs(self.problem),
+            reference_conductance=np.array([one.share.conductance for one in referred]),
+            reference_storage=np.array([one.share.storage for one in referred]),
+            seen_conductance=np.array([np.concatenate(r.conductance, 3) for r in referred]),
+            seen_storage=np.array([np.concatenate(r.storage, 3) for r in referred]),
+            seen_ports=np.array([one.ports for one in referred]),
+            snapshot_conductance=np.array([share.conductance for share in members]),
+            snapshot_storage=np.array([share.storage for share in members]),
+            poles=_ragged([poles for _, poles in self.snapshots]),
+            snapshots=np.asarray(len({share.conductance.tobytes() for share in members})),
+            branch_class=np.empty(0, dtype=np.int64),
+            branch_aperture=np.empty(0),
+            usable=np.asarray(1.0),
+            reason=np.asarray(""),
+            largest_error=np.asarray(np.inf),
+        )
+
+
+def _ragged(rows: list[np.ndarray]) -> np.ndarray:
+    """Rows of different lengths side by side, filled up with zeros."""
+    width = max((len(row) for row in rows), default=0)
+    return np.array([np.append(row, np.zeros(width - len(row))) for row in rows])

@@ -1,0 +1,162 @@
+"""Families of cases that a few runs serve together, in place of runs of their own.
+
+A stage of the table that takes `members` serves cases that agree on all that it reads and on its
+parents. Where they are many enough, runs of such stages take the place of all runs that only what
+is observed of these cases needs. Which members a run was made from, and which it serves, stands in
+its identity: the same case alone, or in another family, is another product.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from demflow.sweep.plan.identity import encode, product_id
+from demflow.sweep.plan.runs import CostClass, StageRun, origin
+
+if TYPE_CHECKING:
+    from demflow.model.scene import Scene
+    from demflow.model.stages import Stage
+
+# Different members from which on a family is worth its model, that takes as long as some thirty.
+LEAST = 64
+CHOSEN = 40  # members that a model is made from
+BLOCK = 64  # members that one run serves
+
+
+@dataclass
+class _Family:
+    """Cases that agree on what the shared stages read, and on their parents."""
+
+    reads: list[dict[str, bytes]]  # of each shared stage
+    kinds: list[CostClass]
+    cases: list[int] = field(default_factory=list)
+    brings: list[list[bytes]] = field(default_factory=list)  # of each shared stage, digests
+    places: list[tuple[float, ...]] = field(default_factory=list)
+
+
+class Families:
+    """Finds the families of a plan while its cases pass by, and joins them at the end."""
+
+    def __init__(
+        self,
+        stages: tuple[Stage, ...],
+        parent_rows: Sequence[Sequence[int]],
+        readers: Sequence[Callable[[Any], dict[str, bytes]]],
+    ) -> None:
+        self.stages, self.parent_rows, self.readers = stages, parent_rows, readers
+        self.shared = [k for k, stage in enumerate(stages) if stage.family is not None]
+        self.found: dict[bytes, _Family] = {}
+
+    def note(self, case: int, scene: Scene, own: np.ndarray) -> None:
+        """A case whose runs are `own` (stages,); it may be one of a family."""
+        asked = [self.stages[k].family for k in self.shared]
+        if not asked or not all(may and may(scene) for may in asked):
+            return
+        reads = [dict(self.readers[k](scene)) for k in self.shared]
+        parents = [int(own[p]) for k in self.shared for p in self.parent_rows[k]]
+        key = hashlib.sha256(encode(parents))
+        for one in reads:
+            for name in sorted(one):
+                key.update(encode(name) + one[name])
+        family = self.found.get(key.digest())
+        if family is None:
+            kinds = [CostClass.of(self.stages[k], scene) for k in self.shared]
+            family = self.found[key.digest()] = _Family(reads, kinds)
+        family.cases.append(case)
+        brings = [self.stages[k].brings for k in self.shared]
+        family.brings.append([hashlib.sha256(encode(of(scene))).digest() for of in brings if of])
+        place = next(self.stages[k].place for k in self.shared)
+        family.places.append(place(scene) if place else ())
+
+    def joined(
+        self, runs: list[StageRun], cases: np.ndarray
+    ) -> tuple[list[StageRun], np.ndarray, np.ndarray]:
+        """The runs and what each case is made of, as `Plan` has them, families served together.
+
+        The third is `Plan.member`.
+        """
+        large = [f for f in self.found.values() if len(set(f.places)) >= LEAST]
+        if not large:
+            return runs, cases, np.empty(0, dtype=np.int32)
+        member = np.full(len(cases), -1, dtype=np.int32)
+        for family in large:
+            self._serve(family, runs, cases, member)
+        return *_pruned(runs, cases), member
+
+    def _serve(
+        self, family: _Family, runs: list[StageRun], cases: np.ndarray, member: np.ndarray
+    ) -> None:
+        """Add the runs of a family, and let its cases be served by them (in place)."""
+        every = np.array(family.cases)
+        for number, k in enumerate(self.shared):
+            if self.stages[k].place is not None:
+                blocks = [_apart(family.places, CHOSEN)]
+            else:
+                blocks = [
+                    list(range(b, min(b + BLOCK, len(every)))) for b in range(0, len(every), BLOCK)
+                ]
+            for block in blocks:
+                first = every[block[0]]
+                own = cases[first]
+                parents = tuple(int(own[p]) for p in self.parent_rows[k])
+                named = zip(self.stages[k].parents, parents, strict=True)
+                identity = product_id(
+                    self.stages[k].name,
+                    origin(self.stages[k]),
+                    {
+                        **family.reads[number],
+                        "members": b"".join(family.brings[m][number] for m in block),
+                    },
+                    {name: runs[p].id if p >= 0 else None for name, p in named},
+                )
+                members = tuple(every[block].tolist())
+                kind = family.kinds[number]
+                runs.append(StageRun(identity, k, parents, min(members), kind, members=members))
+                serves = every if self.stages[k].place is not None else every[block]
+                cases[serves, k] = len(runs) - 1
+                if self.stages[k].place is None:
+                    member[serves] = np.arange(len(block))
+        self._leave(every, runs, cases)
+
+    def _leave(self, every: np.ndarray, runs: list[StageRun], cases: np.ndarray) -> None:
+        """Take out of cases (in place) what the run that serves them does not go back to."""
+        kept = {self.shared[-1]}
+        for row in range(len(self.stages) - 1, -1, -1):
+            if row in kept:
+                kept.update(self.parent_rows[row])
+        left = np.array([row for row in range(len(self.stages)) if row not in kept], dtype=int)
+        cases[np.ix_(every, left)] = -1
+
+
+def _apart(places: list[tuple[float, ...]], most: int) -> list[int]:
+    """Some of the places, the middle first, then each time the one farthest from those taken."""
+    at = np.array(places)
+    taken = [int(np.abs(at - 0.5 * (at.min(axis=0) + at.max(axis=0))).max(axis=1).argmin())]
+    distance = np.full(len(at), np.inf)
+    while len(taken) < most:
+        distance = np.minimum(distance, np.abs(at - at[taken[-1]]).sum(axis=1))
+        if distance.max() == 0.0:
+            break
+        taken.append(int(distance.argmax()))
+    return taken
+
+
+def _pruned(runs: list[StageRun], cases: np.ndarray) -> tuple[list[StageRun], np.ndarray]:
+    """The same without the runs that no case is made of any more."""
+    used = np.zeros(len(runs), dtype=bool)
+    used[np.unique(cases[cases >= 0])] = True
+    for k in range(len(runs) - 1, -1, -1):
+        if used[k]:
+            used[[p for p in runs[k].parents if p >= 0]] = True
+    number = np.append(np.where(used, np.cumsum(used) - 1, -1), -1).astype(np.int32)
+    left = [
+        run._replace(parents=tuple(int(number[p]) for p in run.parents))
+        for run, keeps in zip(runs, used, strict=True)
+        if keeps
+    ]
+    return left, number[cases]

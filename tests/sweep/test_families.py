@@ -1,0 +1,181 @@
+"""Families: which cases they hold, what their runs are named by, what comes out of a study."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from demflow import sweep
+from demflow.model.scene import Circle, Fluid, FractureSet, Grains, Matrix, Scene, Solver, Well
+from demflow.model.stages import STAGES
+from demflow.sweep.engine import run_study
+from demflow.sweep.plan import families
+from demflow.sweep.plan.graph import Plan, make_plan
+
+WIDTHS = np.geomspace(5e-5, 5e-4, 9)
+STUDY = """
+study: widths
+scene:
+  region: {shape: circle, radius: 3 m}
+  grains: {count: 150, porosity: 0.17, seed: 2}
+  matrix: {aperture: 20 um}
+  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}
+  fractures:
+    one: {kind: set, angle: 65 deg, length: 2 m, spacing: 1 m, aperture: 100 um}
+    two: {kind: trace, from: [-2 m, 0.1 m], to: [1 m, 0.4 m], aperture: 100 um}
+  wells: {w: {at: [0 m, 0 m], radius: 0.3 m, rate: 1e-6 m3/s}}
+  boundaries: {outer: 7 MPa}
+  initial_pressure: 7 MPa
+  times: {first: 1 ms, last: 100 s, per_decade: 5}
+vary:
+  one: {parameter: fractures.one.aperture, from: 50 um, to: 300 um, count: 4, spacing: log}
+  two: {parameter: fractures.two.aperture, from: 50 um, to: 300 um, count: 3, spacing: log}
+  rate: {parameter: wells.w.rate, values: [1e-6 m3/s, -3e-6 m3/s]}
+observe: [well_pressure]
+solver: {method: METHOD, tolerance: 1e-5}
+"""
+
+
+def scene(one: float, two: float, rate: float = 1e-6, **changed) -> Scene:
+    told = {
+        "region": Circle(3.0),
+        "grains": Grains(count=150, porosity=0.17, seed=2),
+        "matrix": Matrix(aperture=2e-5),
+        "fluid": Fluid(1e-3, 1e9),
+        "fractures": (
+            FractureSet(name="one", angle=1.1, length=2.0, spacing=1.0, aperture=one),
+            FractureSet(name="two", angle=0.1, length=2.0, spacing=1.0, aperture=two),
+        ),
+        "wells": (Well(name="w", at=(0.0, 0.0), radius=0.3, rate=rate),),
+        "boundaries": (("outer", 7e6),),
+        "initial_pressure": 7e6,
+        "times": (1e-3, 1.0),
+        "observe": ("well_pressure",),
+    }
+    return Scene(**{**told, **changed})
+
+
+def grid(**changed) -> list[Scene]:
+    return [scene(*at, **changed) for at in itertools.product(WIDTHS, WIDTHS, (1e-6, 2e-6))]
+
+
+def names(plan: Plan, case: int) -> list[str]:
+    return [plan.stage_of(run).name for run in plan.case_runs(case)]
+
+
+def test_a_large_family_is_served_by_a_few_runs():
+    plan = make_plan(grid(), STAGES)
+    counts = dict(zip((s.name for s in STAGES), plan.counts(), strict=True))
+    assert counts["flow"] == counts["open"] == counts["observe"] == 0
+    assert counts["emulator"] == 1
+    assert counts["emulate"] == -(-2 * 81 // families.BLOCK)
+    assert names(plan, 100) == ["pack", "network", "walk", "emulator", "emulate"]
+    served = [
+        (plan.runs[run].members[at], case)
+        for case in range(162)
+        for run, at in [plan.result_of(case)]
+    ]
+    assert all(member == case for member, case in served)
+    for number, run in enumerate(plan.runs):
+        assert all(p < number for p in run.parents)
+
+
+def test_what_a_model_is_made_of_lies_apart():
+    """The middle of the family, its corners, and then what is farthest from them."""
+    plan = make_plan(grid(), STAGES)
+    made = next(run for run in plan.runs if plan.stages[run.stage].name == "emulator")
+    at = np.array([(c // 2 // 9, c // 2 % 9) for c in made.members])
+    assert len(made.members) == families.CHOSEN
+    assert len({tuple(one) for one in at}) == families.CHOSEN
+    assert tuple(at[0]) == (4, 4)
+    assert {tuple(one) for one in at[1:5]} == {(0, 0), (0, 8), (8, 0), (8, 8)}
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"solver": Solver(method="krylov")},
+        {"observe": ("well_pressure", "pressure_map")},
+        {"observe": ("well_pressure", "permeability")},
+        {"boundaries": (("outer", 8e6),)},
+        {"times": ()},
+    ],
+    ids=("named", "map", "tensor", "side", "steady"),
+)
+def test_who_asks_for_more_is_solved_case_by_case(changed):
+    if changed.get("times") == ():
+        changed["initial_pressure"] = None
+    plan = make_plan(grid(**changed), STAGES)
+    assert not len(plan.member)
+    assert "flow" in names(plan, 0)
+
+
+def test_few_members_are_solved_case_by_case():
+    """Rates do not count: they share one response anyway."""
+    few = [scene(*at) for at in itertools.product(WIDTHS[:7], WIDTHS, (1e-6, 2e-6, 3e-6))]
+    assert len(few) > families.LEAST > 63
+    plan = make_plan(few, STAGES)
+    assert not len(plan.member)
+
+
+def test_identities_tell_the_family():
+    """Alone, in another family or in its own, a case is three products; the rock is one."""
+    alone, whole = make_plan([scene(WIDTHS[0], WIDTHS[0])], STAGES), make_plan(grid(), STAGES)
+    less = make_plan(grid()[:150], STAGES)
+    assert whole.runs[whole.cases[0, 0]].id == alone.runs[alone.cases[0, 0]].id
+    found = {plan.runs[plan.result_of(0)[0]].id for plan in (alone, whole, less)}
+    assert len(found) == 3
+    assert make_plan(grid(), STAGES).digest() == whole.digest() != less.digest()
+
+
+def test_two_rocks_are_two_families():
+    other = Grains(count=150, porosity=0.17, seed=3)
+    plan = make_plan(
+        [*grid(), *grid(grains=other), scene(1e-4, 1e-4, matrix=Matrix(aperture=1e-5))], STAGES
+    )
+    counts = dict(zip((s.name for s in STAGES), plan.counts(), strict=True))
+    assert counts["emulator"] == 2
+    assert counts["flow"] == 1
+    assert plan.member[-1] == -1
+    shared = {run.id for run in make_plan(grid(), STAGES).runs}
+    assert shared < {run.id for run in plan.runs}
+
+
+@pytest.mark.slow
+def test_a_study_of_a_family_gives_what_its_cases_give(tmp_path, monkeypatch):
+    """Within the tolerance of what each case gives by itself; cases open, and run once."""
+    monkeypatch.setattr(families, "LEAST", 8)
+    found = {}
+    for method in ("auto", "krylov"):
+        path = tmp_path / f"{method}.yaml"
+        text = STUDY.replace("METHOD", method).replace("study: widths", f"study: {method}")
+        path.write_text(text)
+        done = run_study(path, results=tmp_path / "results", workers=1, figures=False)
+        assert done.failed == 0
+        found[method] = sweep.open_results(done.folder).load()
+    auto, alone = found["auto"], found["krylov"]
+    assert set(np.unique(auto.solver_used)) == {"emulated"}
+    assert "emulator_snapshots" not in alone
+    assert float(auto.estimated_error.max()) <= 1e-5
+    off = abs(auto.pressure_change - alone.pressure_change) / abs(alone.pressure_change)
+    assert float(off.max()) <= 2e-5
+    for name in ("smallest_pore", "domain_count", "idle_traces", "porosity", "pores_per_well"):
+        np.testing.assert_array_equal(auto[name], alone[name], err_msg=name)
+    again = run_study(tmp_path / "auto.yaml", results=tmp_path / "results", figures=False)
+    assert again.executed is None
+    at = {name: float(alone[name][1]) for name in ("one", "two", "rate")}
+    cases = [sweep.open_case(tmp_path / "results" / name, **at) for name in ("auto", "krylov")]
+    np.testing.assert_array_equal(cases[0].branch_aperture, cases[1].branch_aperture)
+
+
+def test_scenes_of_a_family_are_no_other_scenes_alone():
+    """By itself no scene wants the stages of a family."""
+    for stage in STAGES:
+        if stage.family is not None:
+            assert not stage.wanted(scene(1e-4, 1e-4))
+            assert stage.family(scene(1e-4, 1e-4))
+    held = dataclasses.replace(scene(1e-4, 1e-4), boundaries=(("outer", 9e6),))
+    assert not any(stage.family(held) for stage in STAGES if stage.family is not None)
