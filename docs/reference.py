@@ -26,7 +26,15 @@ from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.expect import EXPECT
 from demflow.sweep.study.load import load_study
 from demflow.sweep.study.notes import TextFile
-from demflow.sweep.study.scene import SCENE, InitialForms, MapFiles, ProbeForms, Times, WordOr
+from demflow.sweep.study.scene import (
+    SCENE,
+    InitialForms,
+    MapFiles,
+    ProbeForms,
+    Times,
+    WordOr,
+    WordOrBlock,
+)
 from demflow.sweep.study.schema import study_schema
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
@@ -261,6 +269,8 @@ def _parameter(section: Section) -> Parameter | None:
         inner = getattr(section, name, None)
         if isinstance(inner, Parameter):
             return inner
+    if isinstance(section, WordOrBlock):
+        return _parameter(section.block.members[section.key].section)
     if isinstance(section, MapFiles | TextFile):
         return Parameter(section.declared, str, optional=False)
     return None
@@ -304,6 +314,8 @@ def _inside(section: Section) -> Iterator[tuple[str, Section, str]]:
     elif isinstance(section, Forms):
         for number, block in enumerate(section.blocks):
             yield "", block, f"form {number + 1} of {len(section.blocks)}"
+    elif isinstance(section, WordOrBlock):
+        yield "", section.block, ""
     elif isinstance(section, Named | Listed):
         yield ".NAME" if isinstance(section, Named) else "[]", section.inner, ""
     elif isinstance(section, Law):

@@ -150,6 +150,14 @@ def test_reference_pages_are_those_of_the_tables():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_every_key_that_a_stage_reads_says_so():
+    """A key without a reader changes nothing, or no study shows it."""
+    page = (DOCS / "reference" / "study.md").read_text()
+    scene = page[page.index("## scene\n") : page.index("## limits")]
+    silent = [line.split("|")[1] for line in scene.splitlines() if line.endswith("|  |")]
+    assert not silent
+
+
 @pytest.mark.slow
 def test_pages_build_without_a_warning(tmp_path):
     """All links inside the pages lead somewhere, and no page is left out."""
