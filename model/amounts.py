@@ -12,7 +12,12 @@ from functools import lru_cache
 import numpy as np
 
 from demflow.model.controls import Controls, controls_of, sites
-from demflow.model.flow.equation.sites import change_times, time_since
+from demflow.model.flow.equation.sites import (
+    FIRST_LAG,
+    LAGS_A_DECADE,
+    change_times,
+    time_since,
+)
 from demflow.model.scene import Scene
 
 COUNTED = 2_000_000  # pairs of a time and a change up to which equal lags are found
@@ -54,7 +59,7 @@ def held_by_observe(scene: Scene) -> float:
 
 def _sources(controls: Controls) -> int:
     """Sources, and fields that the start is made of."""
-    at_rate = sum(well.pressure is None for well in controls.wells)
+    at_rate = sum(not well.held for well in controls.wells)
     return len(controls.fixed_pressures) + at_rate + len(controls.initial_weights)
 
 
@@ -75,7 +80,11 @@ def _lags(scene: Scene) -> tuple[float, float]:
     """Number of different lags at which responses are kept, and of pairs they are found in."""
     if scene.method == "steady":
         return 1.0, 1.0
-    return _lags_of(scene.times, tuple(change_times(sites(scene.wells)).tolist()))
+    found, pairs = _lags_of(scene.times, tuple(change_times(sites(scene.wells)).tolist()))
+    if any(well.decides for well in scene.wells):
+        decades = np.log10(scene.times[-1] / scene.times[0]) - np.log10(FIRST_LAG)
+        found += LAGS_A_DECADE * float(decades)
+    return found, pairs
 
 
 @lru_cache(maxsize=64)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
 from demflow.model.flow.equation.sites import WellSite
 from demflow.model.scene import InitialField, Scene, Well
+
+Steps = list[list[tuple[float, float]]]  # of each source: time (s), size (Pa or m³/s)
 
 
 class Controls(NamedTuple):
@@ -23,8 +26,8 @@ class Controls(NamedTuple):
 
     @property
     def fixed_pressures(self) -> tuple[float, ...]:
-        """Pressures of the sides and wells that keep one, in the order of the sources, Pa."""
-        return (*self.side_pressures, *(w.pressure for w in self.wells if w.pressure is not None))
+        """First pressures of the sides and wells that keep one, in the order of the sources, Pa."""
+        return (*self.side_pressures, *(w.pressure_changes[0][1] for w in self.wells if w.held))
 
     @property
     def initial_weights(self) -> tuple[float, ...]:
@@ -43,8 +46,8 @@ def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
             name=w.name,
             at=w.at,
             radius=w.effective_radius,
-            fixed_pressure=w.pressure is not None,
-            change_times=tuple(t for t, _ in w.rate_changes),
+            fixed_pressure=w.held,
+            change_times=tuple(t for t, _ in w.rate_changes or w.pressure_changes[1:]),
             skin=max(w.skin_factor, 0.0),
             storage=w.wellbore_storage,
         )
@@ -58,7 +61,7 @@ def controls_of(scene: Scene) -> Controls:
     uniform = scene.uniform_pressure
     field = scene.initial_pressure
     held = [p for _, p in scene.boundaries]
-    held += [w.pressure for w in scene.wells if w.pressure is not None]
+    held += [w.pressure_changes[0][1] for w in scene.wells if w.held]
     reference = held[0] if held else 0.0
     gradient = (0.0, 0.0)
     if transient and uniform is not None:
@@ -80,9 +83,16 @@ def controls_of(scene: Scene) -> Controls:
 def active_sources(scene: Scene) -> tuple[bool, ...]:
     """Which sources act at all, in their order, as the stage `flow` takes them."""
     controls = controls_of(scene)
-    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in controls.wells if w.pressure is None]
+    rates = [any(q != 0.0 for _, q in w.rate_changes) for w in controls.wells if not w.held]
     fields = [g != 0.0 for g in controls.gradient] if controls.start == "gradient" else []
-    return (*(p != controls.reference for p in controls.fixed_pressures), *rates, *fields)
+    first = len(controls.side_pressures)
+    held = [p != controls.reference for p in controls.fixed_pressures[:first]]
+    held += [
+        any(p != controls.reference for _, p in w.pressure_changes)
+        for w in controls.wells
+        if w.held
+    ]
+    return (*held, *rates, *fields)
 
 
 def step_decades(scene: Scene) -> tuple[int, ...] | None:
@@ -104,13 +114,48 @@ def step_decades(scene: Scene) -> tuple[int, ...] | None:
     )
 
 
-def step_sizes(controls: Controls) -> list[list[tuple[float, float]]]:
+class Block(NamedTuple):
+    """Wells with one pressure, by their places among the wells at a rate."""
+
+    members: tuple[int, ...]
+    least: float  # Pa, −∞ without a limit
+    largest: float  # Pa, ∞ without one
+
+
+def limited_blocks(wells: tuple[Well, ...]) -> list[Block]:
+    """Wells whose rate a limit of pressure may decide, and groups of those that share one."""
+    groups: dict[tuple[str, str], list[int]] = {}
+    rated = [wells[k] for k in at_rates(wells)]
+    for number, well in enumerate(rated):
+        if well.decides:
+            key = ("well", well.name) if well.group is None else ("group", well.group)
+            groups.setdefault(key, []).append(number)
+    blocks = []
+    for members in groups.values():
+        own = [rated[k] for k in members]
+        least = [w.least_pressure for w in own if w.least_pressure is not None]
+        largest = [w.largest_pressure for w in own if w.largest_pressure is not None]
+        block = Block(tuple(members), max(least, default=-math.inf), min(largest, default=math.inf))
+        blocks.append(block)
+    return blocks
+
+
+def at_rates(wells: tuple[Well, ...]) -> list[int]:
+    """Numbers of the wells at a rate, in the order of their sources."""
+    return [k for k, well in enumerate(wells) if not well.held]
+
+
+def step_sizes(controls: Controls) -> Steps:
     """Steps (time in s, size) of every source: Pa for a fixed pressure, m³/s for a rate."""
     steps = [[(0.0, pressure - controls.reference)] for pressure in controls.fixed_pressures]
     if controls.start == "steady":  # they have acted for ever
         steps = [[] for _ in steps]
+    held = [well for well in controls.wells if well.held]
+    for own, well in zip(steps[len(controls.side_pressures) :], held, strict=True):
+        changes = itertools.pairwise(well.pressure_changes)
+        own += [(t, new - old) for (_, old), (t, new) in changes]
     for well in controls.wells:
-        if well.pressure is None:
+        if not well.held:
             rates = [0.0, *(q for _, q in well.rate_changes)]
             steps.append(
                 [(t, new - old) for (t, new), old in zip(well.rate_changes, rates, strict=False)]

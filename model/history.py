@@ -11,14 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.controls import Controls, sites, step_sizes
+from demflow.model.controls import Controls, Steps, at_rates, sites, step_sizes
 from demflow.model.flow.equation.sites import change_times, time_since
 from demflow.model.flow.solvers.time_error import FAINT, FAINT_FLOW, Recorded, time_error
+from demflow.model.limited import interpolating, settled
 from demflow.model.products import Responses
 from demflow.model.transient import flow_periods, pressure_change
 
 Array = np.ndarray
-Steps = list[list[tuple[float, float]]]  # of each source: time (s), size (Pa or m³/s)
 Loads = tuple[tuple[tuple[float, float], ...], ...]  # on each wall: time (s), new stress (Pa)
 
 
@@ -64,6 +64,7 @@ class History(NamedTuple):
     volumes: Volumes
     solved: Solved
     probe_place: Array = np.empty((0, 2))  # (p, 2) m: where those pressures are, if known
+    limited: Array | None = None  # (w, t) 1 where a limit of pressure acts, 0 where a rate does
 
 
 def superposed(responses: Responses, controls: Controls, loads: Loads | None = None) -> History:
@@ -72,47 +73,49 @@ def superposed(responses: Responses, controls: Controls, loads: Loads | None = N
     `loads` are the changes of stress on the walls of a coupled rock, whose responses come last;
     there pressures and flows of a response may rise and fall.
     """
-    steps = step_sizes(controls) + _load_steps(loads or ())
+    found = settled(responses, controls, _given(controls, loads))
+    steps = _given(controls, loads) if found is None else found.steps
     times, changes = _times(controls), change_times(sites(controls.wells))
     output = _output(responses, controls, steps, times)
     wells, sides = controls.wells, len(controls.side_pressures)
-    at_rate = [k for k, w in enumerate(wells) if w.pressure is None]
-    held = [k for k, w in enumerate(wells) if w.pressure is not None]
+    at_rate = at_rates(wells)
+    held = [k for k, w in enumerate(wells) if w.held]
 
-    def pressures(found: Array) -> Array:
+    def pressures(found: Array, at: Array) -> Array:
         """Of all wells, (w, times), from recorded outputs (times, o)."""
         pressure = np.empty((len(wells), len(found)))
         pressure[at_rate] = controls.reference + found[:, : len(at_rate)].T
         for k in held:
-            pressure[k] = wells[k].pressure
+            pressure[k] = _acting(wells[k].pressure_changes, at)
         return pressure
 
     flows = output[:, len(at_rate) : len(at_rate) + sides + len(held)].T
     rate = np.empty((len(wells), len(times)))
     rate[held] = -flows[sides:]
     for k in at_rate:
-        starts = np.array([t for t, _ in wells[k].rate_changes])
-        rates = np.array([0.0, *(q for _, q in wells[k].rate_changes)])
-        # the rate that led to the pressure at a time: a change acts after its time
-        acted = time_since(starts[:, None], times[None, :]) > 0.0
-        rate[k] = rates[np.count_nonzero(acted, axis=0)]
+        rate[k] = _acting(((-math.inf, 0.0), *wells[k].rate_changes), times)
+    pressure = pressures(output, times)
+    if found is not None:
+        rate = np.where(np.isnan(found.rate), rate, found.rate)
+        pressure = np.where(np.isnan(found.pressure), pressure, found.pressure)
     probes = controls.reference + output[:, len(at_rate) + sides + len(held) :].T
     probes[~responses.probe_reached] = controls.initial
     before = _output(responses, controls, steps, changes) if controls.transient else output[:0]
     return History(
         times=times,
-        well_pressure=pressures(output),
+        well_pressure=pressure,
         well_rate=rate,
         boundary_flow=flows[:sides],
         probe_pressure=probes,
         change_times=changes[: len(before)],
-        pressure_at_changes=pressures(before),
+        pressure_at_changes=pressures(before, changes[: len(before)]),
         volumes=(
             _volumes(responses, controls, steps, times)
             if controls.transient
             else _rates(flows, rate[at_rate], _missing(responses, controls, steps, times))
         ),
         probe_place=responses.probe_place,
+        limited=None if found is None else found.limited,
         solved=Solved(
             residual=responses.residual,
             range_error=(np.asarray(_out_of_range(responses, controls)) if loads is None else None),
@@ -144,7 +147,7 @@ def superposed_map(responses: Responses, controls: Controls, loads: Loads | None
     Domains that no source reaches keep the initial pressure; NaN where none is given.
     """
     times = _times(controls)
-    steps = step_sizes(controls) + _load_steps(loads or ())
+    steps = _steps(responses, controls, loads)
     change = superpose(responses.pressure, responses.lag, steps, times)
     change += started(responses.initial_pressure, responses.lag, controls.initial_weights, times)
     return np.where(responses.reached, controls.reference + change, controls.initial)
@@ -165,7 +168,7 @@ def superposed_error(
     controls : rates and pressures of the case in time
     flows : whether inflows at fixed pressures count
     """
-    held = sum(well.pressure is not None for well in controls.wells)
+    held = sum(well.held for well in controls.wells)
     sizes = [max((abs(q) for _, q in changes), default=0.0) for changes in step_sizes(controls)]
     fixed = len(controls.fixed_pressures)
     through = np.array(sizes) * responses.least_flow  # rates, and what would fill all pores
@@ -181,9 +184,9 @@ def superposed_error(
 
 def recorded(responses: Responses, controls: Controls) -> Recorded:
     """What counts of the responses of one case that is a transient."""
-    steps, times = step_sizes(controls), _times(controls)
+    steps, times = _steps(responses, controls), _times(controls)
     output = _output(responses, controls, steps, times).T
-    at_rate = [well for well in controls.wells if well.pressure is None]
+    at_rate = [well for well in controls.wells if not well.held]
     wells, flows = len(at_rate), len(controls.fixed_pressures)
     change = np.full((wells, len(times)), np.nan)
     so_far = np.zeros_like(change)
@@ -201,10 +204,31 @@ def recorded(responses: Responses, controls: Controls) -> Recorded:
     return Recorded(change, so_far, output[wells : wells + flows], pressure, field)
 
 
+def _given(controls: Controls, loads: Loads | None = None) -> Steps:
+    """The steps of every source that are asked for."""
+    return step_sizes(controls) + _load_steps(loads or ())
+
+
+def _steps(responses: Responses, controls: Controls, loads: Loads | None = None) -> Steps:
+    """The steps of every source, those of wells whose rates are found among them."""
+    given = _given(controls, loads)
+    found = settled(responses, controls, given)
+    return given if found is None else found.steps
+
+
+def _acting(changes: tuple[tuple[float, float], ...], at: Array) -> Array:
+    """What has led to the state at each time: a change acts after its time, the first always."""
+    starts = np.array([time for time, _ in changes])
+    acted = time_since(starts[:, None], at[None, :]) > 0.0
+    values = np.array([value for _, value in changes])
+    return np.asarray(values[np.maximum(np.count_nonzero(acted, axis=0) - 1, 0)])
+
+
 def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
     """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
 
-    A step acts after its time, not at it. At infinity (a steady study) every step acts.
+    A step acts after its time, not at it. At infinity (a steady study) every step acts. Steps at
+    times for which no response is kept (see `model.limited`) take it from those around.
 
     Parameters
     ----------
@@ -215,6 +239,10 @@ def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
     """
     total = np.zeros((len(at), *responses.shape[2:]))
     for source, changes in enumerate(steps):
+        if math.isfinite(lag[-1]) and not _kept(lag, changes, at):
+            weights = interpolating(lag, changes, at)
+            total += np.tensordot(weights, responses[source], 1)
+            continue
         for time, size in changes:
             if size == 0.0:
                 continue
@@ -222,6 +250,17 @@ def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
             acts = since > 0.0
             total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
     return total
+
+
+def _kept(lag: Array, changes: list[tuple[float, float]], at: Array) -> bool:
+    """Whether a response is kept for every time since one of the steps."""
+    for time, size in changes:
+        since = time_since(time, at)
+        wanted = since[(since > 0.0) & (size != 0.0)]
+        near = np.minimum(np.searchsorted(lag, wanted), len(lag) - 1)
+        if not np.array_equal(lag[near], wanted):
+            return False
+    return True
 
 
 def started(fields: Array, lag: Array, weights: tuple[float, ...], at: Array) -> Array | float:
@@ -271,7 +310,7 @@ def _volumes(responses: Responses, controls: Controls, steps: Steps, times: Arra
     moved = np.abs(let_in).sum(axis=1) + np.abs(stored)
     moved += np.abs(weights) @ responses.initial_volume
     fixed = len(controls.fixed_pressures)
-    at_rate = sum(well.pressure is None for well in controls.wells)
+    at_rate = sum(not well.held for well in controls.wells)
     for changes in steps[fixed : fixed + at_rate]:
         for time, size in changes:
             volume = size * np.maximum(times - time, 0.0)

@@ -47,6 +47,7 @@ NETWORK = (
 ASKED_FOR_BY = {
     "well_pressure": "well_pressure",
     "well_rate": "well_pressure",
+    "well_limited": "well_pressure",
     "pressure_change": "well_pressure",
     "pressure_derivative": "well_pressure",
     "boundary_flow": "boundary_flow",
@@ -279,6 +280,8 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     found["mass_balance_error"] = np.asarray(_over_moved(books, volumes))
     found["mass_imbalance"] = np.asarray(_over_moved(np.abs(books) + volumes.missing, volumes))
     found |= {name: v for name, v in history.solved._asdict().items() if v is not None}
+    if history.limited is not None:
+        found["well_limited"] = history.limited if controls.transient else history.limited[:, 0]
     return found | _changes(history, controls) if controls.transient else found
 
 
@@ -311,7 +314,7 @@ def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:
     times, pressure = history.times, history.well_pressure
     change, derivative = np.full_like(pressure, np.nan), np.full_like(pressure, np.nan)
     for k, well in enumerate(controls.wells):
-        if well.pressure is None:
+        if not well.held:
             felt = _felt_changes(controls.wells, k)
             starts, sign = flow_periods(felt)
             before = history.pressure_at_changes[k, np.searchsorted(history.change_times, starts)]
@@ -329,7 +332,7 @@ def _felt_changes(wells: tuple[Well, ...], number: int) -> tuple[tuple[float, fl
     own = wells[number].rate_changes
     if any(rate != 0.0 for _, rate in own):
         return own
-    others = [well.rate_changes for well in wells if well.pressure is None]
+    others = [well.rate_changes for well in wells if not well.held]
     times = sorted({time for changes in others for time, _ in changes})
 
     def rate_at(time: float, changes: tuple[tuple[float, float], ...]) -> float:

@@ -58,6 +58,12 @@ CASE: dict[str, Quantity] = {
         "well rate for unit depth, positive for production",
         ("well_pressure",),
     ),
+    "well_limited": Quantity(
+        "1",
+        ("well", "elapsed_time"),
+        "1 where a limit of pressure decides the well's rate, else 0",
+        comment="of wells with a least or a largest pressure",
+    ),
     "pressure_change": Quantity(
         "Pa",
         ("well", "elapsed_time"),

@@ -166,7 +166,7 @@ def _viscosity(scene: Scene) -> float | None:
 
 
 def _observes_flows(scene: Scene) -> bool:
-    return "boundary_flow" in scene.observe or any(w.pressure is not None for w in scene.wells)
+    return "boundary_flow" in scene.observe or any(w.held for w in scene.wells)
 
 
 def _superposes(scene: Scene) -> bool:
@@ -228,6 +228,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "check_flows": _observes_flows,
     "initial": lambda s: s.start,
     "decades": step_decades,
+    "fine": lambda s: True if any(w.decides for w in s.wells) else None,
 }
 
 _FAMILY_READS: Mapping[str, Callable[[Scene], Any]] = {

@@ -67,6 +67,7 @@ class Reservoir(NamedTuple):
             safety_factor=safety_factor,
             step=step,
             record_map=record_map,
+            fine=any(well.decides for well in wells),
         )
 
     def observed(

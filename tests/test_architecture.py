@@ -39,6 +39,7 @@ MODEL = (
     ("model.permeability", "model.fracture_network", "model.controls"),
     ("model.coupling",),
     ("model.amounts", "model.families"),
+    ("model.limited",),
     ("model.history",),
     ("model.observe", "model.maps"),
     ("model.emulation",),

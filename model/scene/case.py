@@ -208,7 +208,7 @@ class Scene:
     @property
     def keeps_a_pressure(self) -> bool:
         """Whether a side or a well has a fixed pressure."""
-        return bool(self.boundaries) or any(well.pressure is not None for well in self.wells)
+        return bool(self.boundaries) or any(well.held for well in self.wells)
 
     def _name_problems(self) -> Problems:
         """Names that stand for two things."""
@@ -277,6 +277,10 @@ class Scene:
         """What does not go with coupling."""
         if not self.coupled:
             return
+        for well in self.wells:
+            if well.decides or well.pressure_schedule is not None:
+                what = "limits, groups and schedules of pressures are for wells without coupling"
+                yield f"wells.{well.name}", what
         yield from coupling_problems(
             self.region, self.grains, self.bonds, self.fractures, holed=bool(self.excavate)
         )
@@ -301,7 +305,7 @@ class Scene:
         elif not self.keeps_a_pressure:
             what = "without a fixed pressure anywhere there is no steady state to start from"
             yield "initial_pressure", what
-        elif self.flows and all(well.pressure is not None for well in self.wells):
+        elif self.flows and all(well.held for well in self.wells):
             what = "from the steady state nothing changes; give a well at a rate, or no times"
             yield "initial_pressure", what
 
@@ -315,5 +319,6 @@ class Scene:
         if not self.keeps_a_pressure:
             yield "boundaries", "without a fixed pressure anywhere no steady state exists"
         for well in self.wells:
-            if well.schedule is not None and len(well.schedule) > 1:
-                yield f"wells.{well.name}.schedule", "a schedule has no steady state"
+            for key in ("schedule", "pressure_schedule"):
+                if len(getattr(well, key) or ()) > 1:
+                    yield f"wells.{well.name}.{key}", "a schedule has no steady state"

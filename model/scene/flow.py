@@ -94,7 +94,7 @@ class Fluid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Well:
-    """A well of finite radius at a rate, a pressure or a schedule of rates.
+    """A well of finite radius at a rate or a pressure, or a schedule of these.
 
     All pores whose centroid lies within the radius share the well's pressure; a well narrower
     than the pores stands in its own and has the drawdown of its radius all the same. A skin S
@@ -113,6 +113,19 @@ class Well:
     schedule: tuple[tuple[float, float], ...] | None = parameter(
         "s, m3/s", default=None, help="rate changes [[time, rate], …]; rate 0 shuts the well in"
     )
+    pressure_schedule: tuple[tuple[float, float], ...] | None = parameter(
+        "s, Pa", default=None, help="bottom-hole pressures [[time, pressure], …], from 0 s on"
+    )
+    least_pressure: float | None = parameter(
+        "Pa", default=None, help="of a producer: takes over where its rate would fall below it"
+    )
+    largest_pressure: float | None = parameter(
+        "Pa", default=None, help="of an injector: takes over where its rate would rise above it"
+    )
+    group: str | None = parameter(
+        default=None,
+        help="wells of one group share one pressure and produce the sum of their rates together",
+    )
     skin_factor: float = parameter(
         default=0.0,
         at_least=-20.0,
@@ -124,21 +137,56 @@ class Well:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        given = [k for k in ("rate", "pressure", "schedule") if getattr(self, k) is not None]
+        ways = ("rate", "pressure", "schedule", "pressure_schedule")
+        given = [k for k in ways if getattr(self, k) is not None]
         if len(given) != 1:
             where = given[0] if given else ""
-            raise SceneError([(where, "give exactly one of rate, pressure, schedule")])
-        if self.pressure is not None and self.wellbore_storage > 0.0:
+            raise SceneError([(where, f"give exactly one of {', '.join(ways)}")])
+        for key in ("least_pressure", "largest_pressure", "group"):
+            if self.held and getattr(self, key) is not None:
+                raise SceneError([(key, "a well at a pressure has no rate to limit or to share")])
+        least, largest = self.least_pressure, self.largest_pressure
+        if least is not None and largest is not None and least >= largest:
+            raise SceneError([("least_pressure", "it is not below the largest pressure")])
+        if self.held and self.wellbore_storage > 0.0:
             what = "a well at constant pressure takes nothing from its wellbore; leave it out"
             raise SceneError([("wellbore_storage", what)])
-        if self.schedule is not None:
-            starts = [t for t, _ in self.schedule]
-            if not starts:
-                raise SceneError([("schedule", "the schedule is empty")])
-            if not all(math.isfinite(v) for entry in self.schedule for v in entry):
-                raise SceneError([("schedule", "times and rates must be finite")])
-            if starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
-                raise SceneError([("schedule", "times must increase, from 0 s on")])
+        for key in ("schedule", "pressure_schedule"):
+            self._check_schedule(key)
+
+    def _check_schedule(self, key: str) -> None:
+        """Raise `SceneError` for a schedule that cannot be."""
+        schedule = getattr(self, key)
+        if schedule is None:
+            return
+        starts = [t for t, _ in schedule]
+        if not starts:
+            raise SceneError([(key, "the schedule is empty")])
+        if not all(math.isfinite(v) for entry in schedule for v in entry):
+            what = "rates" if key == "schedule" else "pressures"
+            raise SceneError([(key, f"times and {what} must be finite")])
+        if starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
+            raise SceneError([(key, "times must increase, from 0 s on")])
+        if key == "pressure_schedule" and starts[0] > 0:
+            raise SceneError([(key, "a well at a pressure has one from the start; begin at 0 s")])
+
+    @property
+    def held(self) -> bool:
+        """Whether the well keeps a pressure, and not a rate."""
+        return self.pressure is not None or self.pressure_schedule is not None
+
+    @property
+    def pressure_changes(self) -> tuple[tuple[float, float], ...]:
+        """Times (s) and new pressures (Pa) of the well; empty at a rate."""
+        if self.pressure_schedule is not None:
+            return self.pressure_schedule
+        return () if self.pressure is None else ((0.0, self.pressure),)
+
+    @property
+    def decides(self) -> bool:
+        """Whether its rate may be another than the one that is asked for."""
+        limits = (self.least_pressure, self.largest_pressure, self.group)
+        return any(limit is not None for limit in limits)
 
     @property
     def effective_radius(self) -> float:
@@ -147,7 +195,7 @@ class Well:
 
     @property
     def rate_changes(self) -> tuple[tuple[float, float], ...]:
-        """Times (s) and new rates (m³/s) of the well; empty at constant pressure."""
+        """Times (s) and new rates (m³/s) of the well; empty at a pressure."""
         if self.schedule is not None:
             return self.schedule
         return () if self.rate is None else ((0.0, self.rate),)

@@ -9,6 +9,11 @@ import numpy as np
 # Times nearer to each other than this part of them are the same time.
 ROUND_OFF = 1e-12
 
+# Lags at which responses are kept where steps come at any time, and the first of them beside the
+# first one that is asked for.
+LAGS_A_DECADE = 48
+FIRST_LAG = 1e-2
+
 
 class WellPlace(NamedTuple):
     """Where a well stands."""

@@ -11,7 +11,13 @@ import numpy as np
 from demflow.model.flow.equation.outputs import outputs
 from demflow.model.flow.equation.probes import Probes, between_pores
 from demflow.model.flow.equation.problem import Answer, Problem, Steps
-from demflow.model.flow.equation.sites import WellSite, change_times, time_since
+from demflow.model.flow.equation.sites import (
+    FIRST_LAG,
+    LAGS_A_DECADE,
+    WellSite,
+    change_times,
+    time_since,
+)
 from demflow.model.flow.equation.system import assemble
 from demflow.model.flow.solvers.explicit import explicit, paper_step
 from demflow.model.flow.solvers.forecast import (
@@ -123,18 +129,34 @@ def solve(method: str, problem: Problem) -> tuple[Choice, Answer]:
     raise first or ModelError("no solver can answer; name one as solver.method")
 
 
-def lags(times: tuple[float, ...], wells: tuple[WellSite, ...]) -> np.ndarray:
+def lags(
+    times: tuple[float, ...], wells: tuple[WellSite, ...], *, fine: bool = False
+) -> np.ndarray:
     """Times since a step at which responses are needed, increasing, s.
 
     The pressure is wanted at `times` and just before every rate change; the steps are
-    those changes and the start. Without times the one lag is infinity.
+    those changes and the start. Without times the one lag is infinity. `fine`: steps may come at
+    any time, and responses are needed between these too.
     """
     if not times:
         return np.array([math.inf])
     changes = change_times(wells)
     wanted = np.concatenate([times, changes])
     lag = time_since(changes[None, :], wanted[:, None])
-    return np.unique(lag[lag >= 0.0])
+    lag = np.unique(lag[lag >= 0.0])
+    if fine:
+        later = lag[lag > 0.0]
+        first, last = FIRST_LAG * later[0], later[-1]
+        count = 2 + int(LAGS_A_DECADE * math.log10(last / first))
+        # those asked for stay, and no other is so near that a curve through both bends
+        between = np.geomspace(first, last, count)
+        near = np.searchsorted(later, between)
+        above = later[np.minimum(near, len(later) - 1)] / between
+        below = between / later[np.maximum(near - 1, 0)]
+        far = np.minimum(np.abs(np.log(above)), np.abs(np.log(below)))
+        far = far > 0.3 * math.log(between[1] / between[0])
+        lag = np.unique(np.concatenate([lag, between[far]]))
+    return lag
 
 
 def flow(
@@ -156,6 +178,7 @@ def flow(
     check_flows: bool = True,
     initial: str = "uniform",
     decades: tuple[int, ...] | None = None,
+    fine: bool = False,
 ) -> Responses:
     """Responses of the network to a unit step of each source (the *flow* stage).
 
@@ -183,6 +206,7 @@ def flow(
     decades : powers of ten of how large a step of each source is, Pa or m³/s, beside one another;
         the tolerance holds for their sum. None: of one source; of several, that each response is
         held to the tolerance by itself.
+    fine : whether steps may come at any time, because rates are found on the responses.
 
     Returns
     -------
@@ -271,7 +295,7 @@ def pose(
     problem = Problem(
         system=system,
         records=outputs(system, probed),
-        lag=lags(times, wells),
+        lag=lags(times, wells, fine=fine),
         active=np.asarray(active, dtype=bool),
         domain=_mapped(network, apertures) if record_map else np.empty(0, dtype=np.int64),
         tolerance=tolerance,
@@ -328,14 +352,15 @@ def _steps(
     held = sides + sum(well.fixed_pressure for well in wells)
     changes = [np.array(well.change_times) for well in wells if not well.fixed_pressure]
     fields = 2 if initial == "gradient" else 0
-    once, never = np.ones(held), np.full(held, np.inf)
+    kept = [1 + len(well.change_times) for well in wells if well.fixed_pressure]
+    held_steps, never = np.concatenate([np.ones(sides), kept]), np.full(held, np.inf)
     size = np.ones(held + len(changes) + fields)
     if decades is not None:
         size = 10.0 ** np.asarray(decades, dtype=float)
     shortest = [np.diff(times).min(initial=np.inf) for times in changes]
     return Steps(
         size,
-        np.concatenate([once, [max(1, len(times)) for times in changes], np.ones(fields)]),
+        np.concatenate([held_steps, [max(1, len(times)) for times in changes], np.ones(fields)]),
         np.concatenate([never, shortest, np.full(fields, np.inf)]),
     )
 
