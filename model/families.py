@@ -32,7 +32,7 @@ def may_be_emulated(scene: Scene) -> bool:
     pressure everywhere, with fractures that have an aperture, and nothing recorded but in wells,
     sides and probes.
     """
-    held = any(well.pressure is not None for well in scene.wells)
+    held = any(well.held or well.decides for well in scene.wells)
     others = any(p != scene.uniform_pressure for _, p in scene.boundaries)
     return (
         scene.transient

@@ -235,6 +235,7 @@ def flow(
         decades=decades,
         initial=initial,
         record_map=record_map,
+        fine=fine,
     )
     problem = posed.problem._replace(safety_factor=safety_factor)
     if step == "paper":
@@ -278,6 +279,7 @@ def pose(
     decades: tuple[int, ...] | None,
     initial: str = "uniform",
     record_map: bool = False,
+    fine: bool = False,
 ) -> Posed:
     """The flow equation of a case and what is asked of it; all as `flow` takes it."""
     system = assemble(
