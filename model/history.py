@@ -7,7 +7,7 @@ responses to unit steps, and its history is made here by superposing them.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -17,6 +17,9 @@ from demflow.model.flow.solvers.time_error import FAINT, FAINT_FLOW, Recorded, t
 from demflow.model.limited import interpolating, settled
 from demflow.model.products import Responses
 from demflow.model.transient import flow_periods, pressure_change
+
+if TYPE_CHECKING:
+    from demflow.model.coupling.fracture import Fracturing
 
 Array = np.ndarray
 Loads = tuple[tuple[tuple[float, float], ...], ...]  # on each wall: time (s), new stress (Pa)
@@ -65,6 +68,53 @@ class History(NamedTuple):
     solved: Solved
     probe_place: Array = np.empty((0, 2))  # (p, 2) m: where those pressures are, if known
     limited: Array | None = None  # (w, t) 1 where a limit of pressure acts, 0 where a rate does
+
+
+def marched(fractured: Fracturing, controls: Controls) -> History:
+    """The history of a march through breaking bonds; NaN after it came to an early end."""
+    kept, t, sides = fractured.records, len(controls.times), len(controls.side_pressures)
+    rows = {name: until(getattr(kept, name), t) for name in kept._fields}
+    moved = np.abs(rows["stored"]) + np.abs(rows["injected"])
+    moved = moved + np.abs(rows["let_in"].reshape(t, -1)).sum(axis=1)
+    changes = change_times(sites(controls.wells))
+    before = np.full((len(controls.wells), len(changes)), np.nan)
+    before[:, 0] = controls.initial
+    known = np.searchsorted(changes, fractured.change_time)
+    if len(known):
+        before[:, known] = fractured.at_changes.T
+    return History(
+        times=np.asarray(controls.times),
+        well_pressure=rows["well_pressure"].reshape(t, -1).T,
+        well_rate=rows["well_rate"].reshape(t, -1).T,
+        boundary_flow=rows["side_flow"].reshape(t, -1)[:, :sides].T,
+        probe_pressure=rows["probe_pressure"].reshape(t, -1).T,
+        change_times=changes,
+        pressure_at_changes=before,
+        volumes=Volumes(
+            stored=rows["stored"],
+            let_in=rows["let_in"].reshape(t, -1),
+            produced=-rows["injected"],
+            moved=moved,
+            missing=fractured.unbalanced * moved,
+        ),
+        solved=Solved(
+            residual=fractured.off,
+            range_error=None,
+            estimated_error=np.asarray(np.nan),
+            tolerance_met=np.asarray(np.nan),
+            isolated_domains=np.asarray(0),
+            solver_used=np.array("breaking"),
+            solver_reason=np.array("bonds break one by one, each located in time"),
+            flow_balance_error=None,
+        ),
+        probe_place=fractured.probe_place,
+    )
+
+
+def until(recorded: Array, times: int) -> Array:
+    """What was recorded (r, …), and NaN up to a number of times."""
+    rest = np.full((times - len(recorded), *recorded.shape[1:]), np.nan)
+    return np.concatenate([recorded, rest]) if len(rest) else recorded
 
 
 def superposed(responses: Responses, controls: Controls, loads: Loads | None = None) -> History:

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from demflow.model.controls import controls_of
-from demflow.model.history import superposed_map
+from demflow.model.history import superposed_map, until
+from demflow.model.network.apertures import pipe_conductance, uniform
 from demflow.model.network.domains import domains_at
 from demflow.model.products import Apertures, Network, Packing, StressState
 from demflow.model.quantities import MAPS, TESTS
@@ -29,8 +30,11 @@ def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray
 
 def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
     """Pores, pipes and grains of a case."""
-    net: Network = products["network"]
+    fractured = products.get("fracture")
+    net: Network = products["network"] if fractured is None else fractured.network
     opened: Apertures = products["open"]
+    if fractured is not None:  # wells are holes, and pipes stand as they do at the end
+        opened = opened_at_end(net, fractured.aperture, scene)
     domain = np.flatnonzero(net.inside)
     number = np.full(len(net.x), -1)
     number[domain] = np.arange(len(domain))
@@ -69,10 +73,13 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         }
     if "pressure_map" in scene.observe:
         controls = controls_of(scene)
-        coupled = products.get("consolidate")
-        responses = products["flow"] if coupled is None else coupled.flow
-        pressure = superposed_map(responses, controls, scene.loads)
-        pressure = pressure if controls.transient else pressure[0]
+        if fractured is not None:
+            pressure = until(fractured.records.pressure, len(controls.times))
+        else:
+            coupled = products.get("consolidate")
+            responses = products["flow"] if coupled is None else coupled.flow
+            pressure = superposed_map(responses, controls, scene.loads)
+            pressure = pressure if controls.transient else pressure[0]
         maps["pressure"] = pressure[..., : len(domain)]
         if len(at):
             at_node = pressure[..., len(domain) :]
@@ -94,6 +101,14 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         if state is not None:
             maps |= {name: getattr(state, name) for name in MAPS if name.startswith("crack_")}
     return maps
+
+
+def opened_at_end(net: Network, aperture: np.ndarray, scene: Scene) -> Apertures:
+    """The pipes of a network at given apertures (p,) m."""
+    viscosity = scene.fluid.viscosity if scene.fluid is not None else 1.0
+    plain = uniform(net, float(aperture.min(initial=np.inf)), viscosity)
+    conductance = pipe_conductance(aperture, net.pipe_length, viscosity)
+    return plain._replace(aperture=aperture, conductance=conductance)
 
 
 def _throats(net: Network, opened: Apertures, pipe: np.ndarray) -> dict[str, np.ndarray]:

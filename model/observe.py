@@ -11,9 +11,11 @@ from demflow.model.flow.equation.local_rock import spacing_around
 from demflow.model.history import (
     History,
     Volumes,
+    marched,
     superposed,
     superposed_error,
     superposed_record,
+    until,
 )
 from demflow.model.products import (
     Apertures,
@@ -26,8 +28,9 @@ from demflow.model.products import (
     StrengthTest,
     StressState,
 )
+from demflow.model.quantities import STOPPED
 from demflow.model.region import Region, contains
-from demflow.model.scene import MEASURED_BY_A_TEST, Well
+from demflow.model.scene import MEASURED_BY_A_TEST, OF_BREAKING, Well
 from demflow.model.transient import (
     bourdet_derivative,
     flow_periods,
@@ -37,6 +40,7 @@ from demflow.model.transient import (
 
 if TYPE_CHECKING:
     from demflow.model.coupling.consolidation import Consolidation
+    from demflow.model.coupling.fracture import Fracturing
 
 IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
 NETWORK = (
@@ -70,6 +74,7 @@ def observe(
     traces: FractureNetwork | None,
     moduli: Moduli | None = None,
     consolidated: Consolidation | None = None,
+    fractured: Fracturing | None = None,
     *,
     region: Region,
     controls: Controls,
@@ -90,6 +95,8 @@ def observe(
     reference : the same with far smaller errors in time
     traces : the network of the fractures
     moduli : elastic constants
+    consolidated : responses of a poroelastic rock
+    fractured : a march through breaking bonds
     region : where the case lies, m
     controls : rates and pressures of the case in time
     wanted : names of what is observed
@@ -121,6 +128,9 @@ def observe(
     if consolidated is not None:
         responses = consolidated.flow
         found |= _strained(consolidated, stress, controls, loads or (), wanted)
+    if fractured is not None:
+        found |= flowed(marched(fractured, controls), traces, controls, wanted)
+        found |= _fractured(fractured, controls, wanted)
     if responses is not None:
         found |= flowed(superposed(responses, controls, loads), traces, controls, wanted)
         if reference is not None:
@@ -217,6 +227,49 @@ def _strained(
         )
         before = np.zeros(3) if stress is None else stress.stress
         found["effective_stress"] = before[:, None] + change
+    return found
+
+
+def _fractured(
+    fractured: Fracturing, controls: Controls, wanted: tuple[str, ...]
+) -> dict[str, np.ndarray]:
+    """What broke, how far the crack went and what that took."""
+    kept, events = fractured.records, fractured.events
+    found = {
+        "event_time": events.time,
+        "event_x": events.x,
+        "event_y": events.y,
+        "event_mode": events.mode.astype(float),
+        "event_energy": events.energy,
+        "event_pore": events.pore.astype(float),
+        "broken_bonds": np.asarray(len(events.time)),
+        "tension_cracks": np.asarray(np.count_nonzero(events.mode == 1)),
+        "shear_cracks": np.asarray(np.count_nonzero(events.mode == 2)),
+        STOPPED: np.asarray(str(fractured.state.stopped)),
+    }
+    if not len(events.time):
+        found = {name: array for name, array in found.items() if not name.startswith("event_")}
+    if set(wanted) & set(OF_BREAKING):
+        found |= {
+            "loose_grains": fractured.loose,
+            "unbalanced_ratio": fractured.off,
+            "breaking_factorisations": fractured.factored,
+            "breaking_solves": fractured.solved,
+        }
+        last = kept.energies[-1] if len(kept.energies) else np.zeros(6)
+        names = ("work_put_in", "viscous_loss", "slip_loss", "energy_set_free")
+        found |= dict(zip(names, np.asarray(last[:4]), strict=True))
+        largest = np.abs(kept.energies[:, 0]).max() if len(kept.energies) else 0.0
+        scale = 1.0 / largest if largest > 0.0 else 0.0
+        found["energy_imbalance"] = np.asarray(scale * last[4])
+        found["energy_jerks"] = np.asarray(scale * last[5])
+    in_time = {"crack_length": kept.crack_length}
+    if "injected_volume" in wanted:
+        injected = kept.injected + kept.let_in[:, len(controls.side_pressures) :].sum(axis=-1)
+        in_time |= {"injected_volume": injected, "leaked_volume": kept.leaked}
+    for name, array in in_time.items():
+        if name in wanted or name == "leaked_volume":
+            found[name] = until(array, len(controls.times))
     return found
 
 

@@ -41,6 +41,7 @@ STOPPED = "stopped"  # of a case that has it and no empty word there; the datase
 FAILURE = "failure"  # of a member of a family that has it, and no empty word: why it has no result
 
 _NETWORK = ("fracture_network",)
+_BREAKING = ("crack_length", "injected_volume")
 
 
 # Variables of the dataset, one value or array per case.
@@ -327,7 +328,49 @@ CASE: dict[str, Quantity] = {
     "event_x": Quantity("m", ("event",), "x of the bond or joint contact"),
     "event_y": Quantity("m", ("event",), "y of the bond or joint contact"),
     "event_mode": Quantity("1", ("event",), "1 broken in tension, 2 in shear"),
+    "event_pore": Quantity(
+        "1", ("event",), "domain beside it of the higher pressure, -1 where no pipe runs there"
+    ),
     "event_energy": Quantity("J m-1", ("event",), "energy that the event set free"),
+    "crack_length": Quantity(
+        "m",
+        ("elapsed_time",),
+        "length of what broke, from pore to pore through each broken contact",
+        ("crack_length",),
+    ),
+    "injected_volume": Quantity(
+        "m3", ("elapsed_time",), "volume that the wells gave for unit depth", ("injected_volume",)
+    ),
+    "leaked_volume": Quantity(
+        "m3",
+        ("elapsed_time",),
+        "part of the injected volume that is in no well and beside no broken contact",
+        ("injected_volume",),
+    ),
+    "work_put_in": Quantity(
+        "J m-1", (), "work of wells, sides and walls, from time zero to the last time", _BREAKING
+    ),
+    "viscous_loss": Quantity("J m-1", (), "part of it that friction in the fluid took", _BREAKING),
+    "slip_loss": Quantity("J m-1", (), "part of it that sliding contacts took", _BREAKING),
+    "energy_set_free": Quantity("J m-1", (), "energy that breaks set free meanwhile", _BREAKING),
+    "energy_imbalance": Quantity(
+        "1",
+        (),
+        "what the books of energy lack, step by step and without signs, over the work put in",
+        _BREAKING,
+    ),
+    "energy_jerks": Quantity(
+        "1",
+        (),
+        "work that the trapezoidal rule misses where contacts open or close within a step, over "
+        "the work put in",
+        _BREAKING,
+    ),
+    "loose_grains": Quantity(
+        "1", (), "grains that came free and are held where they were", _BREAKING
+    ),
+    "breaking_factorisations": Quantity("1", (), "matrices that were factored", _BREAKING),
+    "breaking_solves": Quantity("1", (), "solves with these factors", _BREAKING),
     STOPPED: Quantity("", (), "why the case stopped early; what came before is kept", text=True),
     "network_nodes_i": Quantity("1", (), "free ends of traces inside the region", _NETWORK),
     "network_nodes_y": Quantity("1", (), "ends of traces on another trace", _NETWORK),

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from demflow.model.amounts import (
     kept_by_observe,
 )
 from demflow.model.controls import active_sources, controls_of, sites, step_decades
+from demflow.model.coupling.told import BreakingFluid, BreakingRock, march_legs
 from demflow.model.families import alike, asked, may_be_emulated, member, place
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
@@ -43,7 +44,15 @@ from demflow.model.products import (
     Walk,
 )
 from demflow.model.quantities import checked
-from demflow.model.scene import Bonds, Ground, Scene, flow_lines, joint_lines, refined_places
+from demflow.model.scene import (
+    Bonds,
+    Ground,
+    Scene,
+    Well,
+    flow_lines,
+    joint_lines,
+    refined_places,
+)
 
 if TYPE_CHECKING:
     from demflow.model.coupling.consolidation import consolidate
@@ -172,7 +181,9 @@ def _observes_flows(scene: Scene) -> bool:
 def _superposes(scene: Scene) -> bool:
     stress, jointed = scene.stress, any(f.joint is not None for f in scene.fractures)
     plain = scene.grains.contact_law is None and not jointed
-    return bool(stress and scene.bonds and stress.method != "explicit" and plain)
+    return bool(
+        stress and scene.bonds and stress.method != "explicit" and plain and not scene.breaks
+    )
 
 
 def _cement(scene: Scene) -> Bonds | None:
@@ -202,6 +213,40 @@ def _active(scene: Scene) -> tuple[bool, ...]:
     """Which sources of a coupled rock act: those of the flow, then the loads."""
     loads = (any(size != 0.0 for _, size in changes) for changes in scene.loads or ())
     return (*active_sources(scene), *loads)
+
+
+def _breaking_rock(scene: Scene) -> Any:
+    """The rock of a march through breaking bonds."""
+    if scene.bonds is None or scene.stress is None or scene.grains.contact_stiffness is None:
+        return None
+    return BreakingRock(
+        scene.grains.contact_stiffness,
+        scene.grains.stiffness_ratio,
+        scene.grains.friction,
+        scene.bonds,
+        joint_lines(scene.fractures, scene.region),
+        scene.grains.seed,
+        scene.stress,
+    )
+
+
+def _breaking_fluid(scene: Scene) -> Any:
+    """Its fluid and the pipes of its matrix."""
+    if scene.fluid is None or scene.matrix is None or scene.coupling is None:
+        return None
+    return BreakingFluid(
+        scene.fluid.viscosity,
+        scene.fluid.bulk_modulus,
+        scene.matrix,
+        scene.uniform_pressure or 0.0,
+        scene.coupling.least_pressure,
+        scene.boundaries,
+    )
+
+
+def _placed(well: Well) -> Well:
+    """A well without its rates."""
+    return well if well.pressure is not None else replace(well, rate=0.0, schedule=None)
 
 
 def _always(_scene: Scene) -> bool:
@@ -309,7 +354,7 @@ STAGES: tuple[Stage, ...] = (
             "stress": lambda s: s.stress,
         },
         options={"ground": lambda s: s.ground},
-        wanted=lambda s: s.stress is not None,
+        wanted=lambda s: s.stress is not None and not s.breaks,
         product=StressState,
     ),
     Stage(
@@ -450,10 +495,29 @@ STAGES: tuple[Stage, ...] = (
             "record_map": lambda s: "pressure_map" in s.observe,
             "initial": lambda s: s.start,
         },
-        wanted=lambda s: s.flows and s.coupled,
+        wanted=lambda s: s.flows and s.coupled and not s.breaks,
         product="demflow.model.coupling.consolidation:Consolidation",
         kept=kept_by_flow,
         held=held_by_flow,
+    ),
+    Stage(
+        name="fracture",
+        function="demflow.model.coupling.fracture:fracture",
+        version=1,
+        parents=("pack", "calibrate", "fracture"),
+        reads={
+            "rock": _breaking_rock,
+            "wet": _breaking_fluid,
+            "wells": lambda s: tuple(map(_placed, s.wells)),
+            "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
+            "tolerance": lambda s: s.coupling and s.coupling.step_error,
+            "record_map": lambda s: "pressure_map" in s.observe,
+        },
+        wanted=lambda s: s.flows and s.breaks,
+        product="demflow.model.coupling.fracture:Fracturing",
+        legs=march_legs,
+        kept=kept_by_observe,
+        held=held_by_observe,
     ),
     Stage(
         name="fractures",
@@ -501,7 +565,7 @@ STAGES: tuple[Stage, ...] = (
         version=10,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
-            *("measure", "flow", "reference", "fractures", "moduli", "consolidate"),
+            *("measure", "flow", "reference", "fractures", "moduli", "consolidate", "fracture"),
         ),
         reads={
             "region": lambda s: s.rock,

@@ -77,7 +77,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
 }
 DOORS = {  # outer library: the only rooms that may import it
     "numba": {"model.compile", "model.kernel_cache"},
-    "qdldl": {"model.mechanics.static.stiffness"},
+    "qdldl": {"model.mechanics.static.stiffness", "model.coupling.matrix"},
     "threadpoolctl": {"model.threads"},
     "dask": {"sweep.execution.local", "sweep.execution.cluster"},
     "distributed": {

@@ -12,6 +12,7 @@ from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import (
     MEASURED_BY_A_TEST,
     OBSERVABLES,
+    OF_BREAKING,
     OF_COUPLING,
     BiWing,
     Bonds,
@@ -250,7 +251,7 @@ STIFF = Grains(count=9, porosity=0.17, modulus=1e10)
 
 def test_only_flow_outputs_need_flow():
     assert good().flows
-    for name in set(OBSERVABLES) - set(OF_COUPLING):
+    for name in set(OBSERVABLES) - {*OF_COUPLING, *OF_BREAKING}:
         made = good(
             observe=(name,), probes=(Probe("p", (0.0, 0.0)),), grains=STIFF, test=FailureTest(),
             bonds=Bonds(kind="contact", tensile_strength=1e7, shear_strength=1e7),

@@ -17,6 +17,7 @@ from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import (
     MEASURED_BY_A_TEST,
     OBSERVABLES,
+    OF_BREAKING,
     OF_COUPLING,
     BiWing,
     Bonds,
@@ -37,9 +38,11 @@ from demflow.model.scene import (
 )
 from demflow.model.stages import STAGES, run_stages, simulate
 
-ALONE = tuple(stage for stage in STAGES if stage.family is None)  # what one scene is made of
+# what one scene is made of, but for marches (tests/coupling)
+ALONE = tuple(stage for stage in STAGES if stage.family is None and stage.legs is None)
 BY_NAME = {stage.name: stage for stage in ALONE}
-OBSERVED = tuple(name for name in OBSERVABLES if name not in (*MEASURED_BY_A_TEST, *OF_COUPLING))
+OTHERWISE = (*OF_COUPLING, *OF_BREAKING)  # observed of scenes of their own
+OBSERVED = tuple(name for name in OBSERVABLES if name not in (*MEASURED_BY_A_TEST, *OTHERWISE))
 OBSERVED_LOOSE = tuple(set(OBSERVED) - {"elastic_moduli", "force_chains"})  # of loose grains
 GRAINS = Grains(count=150, porosity=0.17, modulus=2e10)
 BONDS = Bonds(kind="parallel", tensile_strength=2e7, shear_strength=2e7)
@@ -50,7 +53,7 @@ SCENE = Scene(
     grains=GRAINS,
     matrix=Matrix(permeability=1e-14, half_force=5e6),
     fluid=Fluid(1e-3, 1e9),
-    observe=tuple(name for name in OBSERVABLES if name not in OF_COUPLING),
+    observe=tuple(name for name in OBSERVABLES if name not in OTHERWISE),
     bonds=BONDS,
     stress=Stress(1.2e7, 1e7),
     test=TEST,
@@ -127,7 +130,8 @@ def test_what_a_stage_reads_is_what_it_can_be_given(stage):
     keyword = {p.name for p in parameters if p.kind is p.KEYWORD_ONLY}
     positional = [p.name for p in parameters if p.kind is p.POSITIONAL_OR_KEYWORD]
     needed = {p.name for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is p.empty}
-    assert needed - ({"members"} if stage.brings else set()) <= set(stage.reads)
+    brought = {"members"} if stage.brings else {"leg"} if stage.legs else set()
+    assert needed - brought <= set(stage.reads)
     assert set(stage.reads) | set(stage.options) <= keyword
     assert len(positional) == len(stage.parents)
     assert len(keyword) + len(positional) == len(parameters)
@@ -138,10 +142,11 @@ def test_parents_come_first():
     names = [stage.name for stage in STAGES]
     assert len(set(names)) == len(names)
     for k, stage in enumerate(STAGES):
-        assert set(stage.parents) <= set(names[:k])
+        assert set(stage.parents) - {stage.name} <= set(names[:k])
+        assert (stage.name in stage.parents) == (stage.legs is not None)
 
 
-@pytest.mark.parametrize("name", OBSERVABLES)
+@pytest.mark.parametrize("name", [name for name in OBSERVABLES if name not in OF_BREAKING])
 def test_an_output_runs_the_stages_that_it_needs_and_no_flow_or_test_besides(name):
     scene = dataclasses.replace(COUPLED if name in OF_COUPLING else SCENE, observe=(name,))
     run = {stage.name for stage in STAGES if stage.wanted(scene)}
@@ -332,6 +337,7 @@ def test_shapes_are_those_of_the_table():
     }
     rare = {name for name, quantity in CASE.items() if "event" in quantity.dimensions}
     rare |= {STOPPED, "emulator_snapshots"}  # which only a march, and a family's member, may have
+    rare |= {name for name, quantity in CASE.items() if set(quantity.needs) & set(OF_BREAKING)}
     assert set(SEEN) == set(CASE) - rare - set(OF_COUPLING)
     coupled = COUPLED_PRODUCTS["observe"]
     assert set(OF_COUPLING) <= set(coupled) <= set(CASE) - rare

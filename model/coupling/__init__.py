@@ -6,4 +6,9 @@
 - `record`: what is recorded of it
 - `krylov`, `march`: its transients, by projection and step by step
 - `consolidation`: the stage, responses to a unit of each source
+- `skeleton`: contacts that slide, part and break, in small displacements
+- `matrix`, `balance`: one implicit step of rock and fluid together
+- `setting`: what a march through breaking bonds starts from
+- `breaking`: the march, from bond to bond
+- `told`, `fracture`: the stage, leg by leg, and what it records
 """

@@ -8,7 +8,13 @@ dimensional with unit depth: rates are m³/s for one metre of rock.
 
 from demflow.model.parameters import SceneError
 from demflow.model.region import Circle, Hole, Pierced, Polygon, Rectangle, Region, Shape
-from demflow.model.scene.case import MEASURED_BY_A_TEST, OBSERVABLES, OF_COUPLING, Scene
+from demflow.model.scene.case import (
+    MEASURED_BY_A_TEST,
+    OBSERVABLES,
+    OF_BREAKING,
+    OF_COUPLING,
+    Scene,
+)
 from demflow.model.scene.closure import BartonBandis, Closure
 from demflow.model.scene.coupling import Coupling
 from demflow.model.scene.distributions import (
@@ -62,6 +68,7 @@ __all__ = [
     "LEAST_TOLERANCE",
     "MEASURED_BY_A_TEST",
     "OBSERVABLES",
+    "OF_BREAKING",
     "OF_COUPLING",
     "BartonBandis",
     "BiWing",

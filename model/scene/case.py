@@ -32,7 +32,7 @@ from demflow.model.scene.rock import (
     loading_problems,
 )
 
-__all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "OF_COUPLING", "Scene"]
+__all__ = ["MEASURED_BY_A_TEST", "OBSERVABLES", "OF_BREAKING", "OF_COUPLING", "Scene"]
 
 _PORES = ("network", "open")  # pores and their pipes
 
@@ -45,6 +45,8 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "probe_pressure": (*_PORES, "flow"),
     "wall_displacement": (*_PORES, "consolidate"),
     "effective_stress": (*_PORES, "consolidate"),
+    "crack_length": (*_PORES, "fracture"),
+    "injected_volume": (*_PORES, "fracture"),
     "grain_map": _PORES,
     "time_error": (*_PORES, "flow", "reference"),
     "youngs_modulus": ("strength",),
@@ -57,6 +59,7 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "force_chains": ("stress",),
 }
 OF_COUPLING = tuple(name for name, stages in OBSERVABLES.items() if "consolidate" in stages)
+OF_BREAKING = tuple(name for name, stages in OBSERVABLES.items() if "fracture" in stages)
 MEASURED_BY_A_TEST = tuple(name for name, stages in OBSERVABLES.items() if "strength" in stages)
 
 # Outputs, and the part of the scene without which there is nothing to observe.
@@ -66,6 +69,8 @@ _OBSERVED = {
     "boundary_flow": ("boundaries", "every side is sealed"),
     "elastic_moduli": ("bonds", "there are no bonds"),
     "force_chains": ("stress", "there is no stress"),
+    "crack_length": ("breaks", "nothing breaks; add coupling: breaking"),
+    "injected_volume": ("breaks", "nothing breaks; add coupling: breaking"),
     "wall_displacement": ("coupled", "nothing moves the walls; add coupling: linear"),
     "effective_stress": ("coupled", "nothing changes it; add coupling: linear"),
 }
@@ -178,7 +183,7 @@ class Scene:
     @property
     def flows(self) -> bool:
         """Whether an output is wanted that needs the pressure field of wells, sides and loads."""
-        return self.needs("flow") or self.needs("consolidate")
+        return any(map(self.needs, ("flow", "consolidate", "fracture")))
 
     @property
     def tests(self) -> bool:
@@ -199,6 +204,11 @@ class Scene:
     def coupled(self) -> bool:
         """Whether pressure moves grains, and grains squeeze pores."""
         return self.coupling is not None and self.coupling.method != "none"
+
+    @property
+    def breaks(self) -> bool:
+        """Whether bonds break as pressure moves grains."""
+        return self.coupling is not None and self.coupling.method == "breaking"
 
     @property
     def loads(self) -> tuple[tuple[tuple[float, float], ...], ...] | None:
@@ -282,8 +292,15 @@ class Scene:
                 what = "limits, groups and schedules of pressures are for wells without coupling"
                 yield f"wells.{well.name}", what
         yield from coupling_problems(
-            self.region, self.grains, self.bonds, self.fractures, holed=bool(self.excavate)
+            self.region,
+            self.grains,
+            self.bonds,
+            self.fractures,
+            holed=bool(self.excavate),
+            breaks=self.breaks,
         )
+        if self.breaks:
+            yield from self._breaking_problems()
         if self.flows and not self.transient:
             yield "coupling", "grains move while fluid does; give times, or leave coupling out"
         if self.solver.method == "explicit":
@@ -296,6 +313,28 @@ class Scene:
         if self.start == "steady":
             what = "a coupled transient starts from one pressure, or a linear field"
             yield "initial_pressure", what
+
+    def _breaking_problems(self) -> Problems:
+        """What does not go with bonds that break."""
+        if self.stress is None:
+            yield "stress", "where bonds break the rock is loaded; give its stresses"
+        elif self.stress.components[2] != 0.0:
+            what = "a rock whose bonds break is loaded along its walls; turn the rest instead"
+            yield "stress.angle", what
+        if self.gravity is not None:
+            yield "gravity", "a rock whose bonds break has no weight; leave it out"
+        if self.solver.method != "auto":
+            what = "steps in which bonds break are found by one method; leave it out"
+            yield "solver.method", what
+        if self.flows and self.start != "uniform":
+            yield "initial_pressure", "where bonds break the start is one pressure everywhere"
+        for name in (*OF_COUPLING, "force_chains"):
+            if name in self.observe:
+                yield "observe", f"{name} is not observed where bonds break"
+        for well in self.wells:
+            if well.skin_factor != 0.0:
+                what = "a well that may break its rock has no skin; leave it out"
+                yield f"wells.{well.name}.skin_factor", what
 
     def _steady_start_problems(self) -> Problems:
         """What is wrong with a start from the steady state."""

@@ -26,9 +26,20 @@ class Coupling:
 
     method: str = parameter(
         default="auto",
-        choices=("auto", "none", "linear"),
-        help="linear: grains bonded and unbroken, apertures as they are; none: fluid moves alone; "
-        "auto takes linear",
+        choices=("auto", "none", "linear", "breaking"),
+        help="linear: grains bonded and unbroken, apertures as they are; breaking: bonds and "
+        "joints break one by one, and what parts opens; none: fluid moves alone; auto takes linear",
+    )
+    least_pressure: float | None = parameter(
+        "Pa",
+        default=None,
+        help="pressure at which the liquid turns to vapour, of method breaking; by default never",
+    )
+    step_error: float = parameter(
+        default=1e-2,
+        at_least=1e-5,
+        below=1,
+        help="error in time of the pressures in each step of method breaking, over the largest",
     )
     held: str = parameter(
         default="none",
@@ -51,6 +62,16 @@ class Coupling:
     def __post_init__(self) -> None:
         check_fields(self)
         problems = []
+        if self.method == "breaking":
+            for name in ("load_xx", "load_yy", "schedule_xx", "schedule_yy"):
+                if getattr(self, name) is not None:
+                    what = "method breaking keeps the stresses of the scene; leave it out"
+                    problems.append((name, what))
+            if self.held != "none":
+                what = "method breaking holds the left and the bottom wall only; leave it out"
+                problems.append(("held", what))
+        elif self.least_pressure is not None:
+            problems.append(("least_pressure", "only method breaking knows vapour; leave it out"))
         for axis, wall in (("xx", "right"), ("yy", "top")):
             load, schedule = getattr(self, f"load_{axis}"), getattr(self, f"schedule_{axis}")
             name = f"load_{axis}" if schedule is None else f"schedule_{axis}"
@@ -99,6 +120,7 @@ def coupling_problems(
     fractures: tuple[Fracture, ...],
     *,
     holed: bool,
+    breaks: bool = False,
 ) -> Problems:
     """What a coupled rock cannot be."""
     if not isinstance(region, Rectangle):
@@ -118,7 +140,14 @@ def coupling_problems(
     if bonds is None:
         yield "bonds", "coupled grains are bonded; add bonds"
     for fracture in fractures:
-        if fracture.joint is not None:
+        if breaks:
+            if fracture.acts_on_flow:
+                yield (
+                    f"fractures.{fracture.name}",
+                    "where bonds break a fracture is a joint, which conducts as it opens; give "
+                    "joint, and neither aperture, permeability nor a barrier",
+                )
+        elif fracture.joint is not None:
             yield (
                 f"fractures.{fracture.name}.joint",
                 "coupling knows no smooth joints; leave it out",

@@ -1,0 +1,253 @@
+"""One implicit step of rock and fluid together: forces balance, and every pore its volume.
+
+Over a step Δt the displacement u of the grains and the pressures p, counted from those at the
+start, satisfy
+
+    f + A p + F(u) = 0
+    C p + Aᵀ u = M₀ + Δt (q − G(u) p)
+
+with F the forces of contacts (`skeleton`), A the push of the fluid (`duality`), and M the fluid
+volume that each pore has gained, at the initial pressure. Δt = 0 keeps every pore's fluid where
+it is, which is how a bond breaks. Newton's method takes the derivatives of friction and of
+apertures along; equations are solved by `matrix`.
+
+A pore may keep its pressure: that of a well, or the one at which its liquid turns to vapour, where
+an option says so; then its fluid volume falls short of C p + Aᵀ u by that of the vapour.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_array, csr_array, diags_array, vstack
+
+from demflow.model.coupling.matrix import StepMatrix
+from demflow.model.coupling.skeleton import Borne, Hold, Skeleton, borne, forces
+from demflow.model.mechanics.contact.grains import Array
+
+MOST_ITERATIONS = 12
+HALVINGS = 3  # of a step of it that does not come closer
+TOLERANCE = 1e-8  # of forces over the mean contact force
+STRICTER = 1e3  # volumes are held to it by so much more
+ENOUGH = 1e-4  # where sliding contacts take turns, so that no iteration comes closer
+EQUATION = 1e-5  # relative residual of the equations of Newton's method
+LONGEST = 0.1  # mean radii by which an iteration moves grains at most
+
+
+class Conduits(NamedTuple):
+    """What conducts: p pipes between pores, then q links to what keeps its pressure."""
+
+    i: Array  # (p,) pore
+    j: Array
+    contact: Array  # (p,) between whose grains it runs, −1 a wall's
+    wide: Array  # (p,) m: w0
+    factor: Array  # (p,) conductance over w³, 1/(s m³) in units of the case
+    half_force: Array  # (p,) in units of the case, infinite where forces do not count
+    link: Array  # (q,) pore
+    link_contact: Array
+    link_wide: Array
+    link_factor: Array
+    link_half_force: Array
+    link_pressure: Array  # (q,) kept at its other end
+
+
+class Case(NamedTuple):
+    """What stays in a march; in units of the mean radius and k_n, and of seconds."""
+
+    unit: float  # m: the mean radius
+    stiffness: float  # Pa: k_n
+    skeleton: Skeleton
+    load: Array  # (m,) by walls and by what lies outside the region
+    push: csr_array  # A (m, d)
+    pull: csr_array  # Aᵀ
+    storage: Array  # (d,) C
+    conduits: Conduits
+    gap_factor: float
+    widest: float  # m: an aperture beyond which it conducts no better
+    matrix: StepMatrix
+    least_pressure: float  # at which the liquid turns to vapour, −∞ without
+
+
+class Fluid(NamedTuple):
+    """What goes into the pores during a step, and which keep their pressure."""
+
+    dt: float  # s
+    inflow: Array  # (d,) from outside, a second
+    held: Array  # (d,) bool
+
+
+class Balanced(NamedTuple):
+    """A state that was found, or the last one tried."""
+
+    u: Array  # (m,)
+    p: Array  # (d,)
+    found: Borne
+    net: Array  # (d,) volume that flowed into each pore
+    vapour: Array  # (d,) bool: pores at the least pressure
+    reached: bool
+    off: float  # what is left, of forces over the mean contact force, and of volumes alike
+    hold: Hold  # what contacts remembered before
+
+
+class Openings(NamedTuple):
+    """Apertures of pipes and links, and how they change by parting."""
+
+    wide: Array
+    by_parting: Array  # m per unit
+
+
+def openings(case: Case, hold: Hold, found: Borne) -> tuple[Openings, Openings]:
+    """Apertures of the pipes and of the links, m.
+
+    Under compression w0 F0 / (F + F0), else w0 + m g with g the gap (Eqs 2, 3).
+    """
+    c = case.conduits
+    return (
+        _apertures(case, hold, found, c.contact, c.wide, c.half_force),
+        _apertures(case, hold, found, c.link_contact, c.link_wide, c.link_half_force),
+    )
+
+
+def _apertures(
+    case: Case, hold: Hold, found: Borne, contact: Array, wide: Array, half: Array
+) -> Openings:
+    known = contact >= 0
+    force = np.where(known, found.force[contact], 0.0)
+    gap = np.where(known, (found.part - hold.overlap)[contact], 0.0)
+    stiff = np.where(known, found.kn[contact], 0.0)
+    finite = np.isfinite(half)
+    f0 = np.where(finite, half, 1.0)
+    share = np.where(finite & (force > 0.0), f0 / (f0 + np.maximum(force, 0.0)), 1.0)
+    parts = (force <= 0.0) & (gap > 0.0)
+    opened = np.where(parts, wide + case.gap_factor * case.unit * gap, wide * share)
+    slope = np.where(parts, case.gap_factor * case.unit, 0.0)
+    slope += np.where(finite & (force > 0.0), wide * share**2 / f0 * stiff, 0.0)
+    free = opened < case.widest
+    return Openings(np.where(free, opened, case.widest), np.where(free, slope, 0.0))
+
+
+class Flow(NamedTuple):
+    """Flows at a state, and how they change by parting."""
+
+    pipe: Array  # (p,) from i to j, a second
+    link: Array  # (q,) out of the pore
+    conductance: Array  # (p + q,)
+    by_parting: Array  # (p,) of the flow
+    link_by_parting: Array
+
+
+def flow(case: Case, hold: Hold, found: Borne, p: Array) -> Flow:
+    """What flows at pressures p (d,), at the apertures of a state."""
+    c = case.conduits
+    pipes, links = openings(case, hold, found)
+    g, h = c.factor * pipes.wide**3, c.link_factor * links.wide**3
+    fall, link_fall = p[c.i] - p[c.j], p[c.link] - c.link_pressure
+    steep = 3.0 * c.factor * pipes.wide**2 * pipes.by_parting
+    link_steep = 3.0 * c.link_factor * links.wide**2 * links.by_parting
+    return Flow(g * fall, h * link_fall, np.append(g, h), steep * fall, link_steep * link_fall)
+
+
+def net_inflow(case: Case, pipe: Array, link: Array) -> Array:
+    """Sum of flows into each pore, (d,)."""
+    c, d = case.conduits, len(case.storage)
+    net: Array = np.bincount(c.j, weights=pipe, minlength=d)
+    net -= np.bincount(c.i, weights=pipe, minlength=d)
+    net -= np.bincount(c.link, weights=link, minlength=d)
+    return net
+
+
+def balanced(
+    case: Case, hold: Hold, u: Array, p: Array, mass: Array, fluid: Fluid, vapour: Array
+) -> Balanced:
+    """Find the state after a step.
+
+    Parameters
+    ----------
+    case : what stays.
+    hold : what contacts remember of the start.
+    u, p : a first guess, (m,) and (d,); pressures that are held are those of p.
+    mass : (d,) fluid volume of each pore at the start.
+    fluid : the step.
+    vapour : (d,) bool, which pores are at the least pressure, as a first guess.
+    """
+    s, m = case.skeleton, len(u)
+    u, p, vapour = u.copy(), p.copy(), vapour.copy()
+    scale = max(float(np.abs(case.load).max(initial=0.0)) * 1e-2, 1e-12)
+    p[vapour] = case.least_pressure
+
+    def state(u: Array, p: Array, vapour: Array) -> tuple[Borne, Flow, Array, Array, float]:
+        found = borne(s, hold, u)
+        moved = flow(case, hold, found, p)
+        net = fluid.dt * (net_inflow(case, moved.pipe, moved.link) + fluid.inflow)
+        force = case.load + forces(s, hold, found, u) + case.push @ p
+        lack = mass + net - case.storage * p - case.pull @ u
+        lack[fluid.held | vapour] = 0.0
+        unit = max(float(np.mean(np.abs(found.force))), scale)
+        # volumes have to be met; of forces ENOUGH may do
+        off = max(
+            float(np.abs(force).max(initial=0.0)) / unit,
+            STRICTER * float(np.abs(lack).max(initial=0.0)) / unit,
+        )
+        return found, moved, net, np.concatenate([force, -lack]), off
+
+    found, moved, net, residual, off = state(u, p, vapour)
+    closest = Balanced(u, p, found, net, vapour, False, np.inf, hold)
+    for iteration in range(MOST_ITERATIONS + 1):
+        changed = _boils(case, fluid, u, p, mass, net, vapour)
+        if changed is not None:
+            vapour = changed
+            p[vapour] = case.least_pressure
+            found, moved, net, residual, off = state(u, p, vapour)
+        elif off <= TOLERANCE:
+            return Balanced(u, p, found, net, vapour, True, off, hold)
+        elif off < closest.off:
+            closest = Balanced(u, p, found, net, vapour, off <= ENOUGH, off, hold)
+        if iteration == MOST_ITERATIONS or not np.isfinite(off):
+            break
+        keeps = fluid.held | vapour
+        stiffnesses = np.concatenate([found.kn, found.ks, found.km, hold.grip])
+        upper = case.matrix.entries(stiffnesses, fluid.dt * moved.conductance, keeps)
+        besides = _besides(case, found, moved, fluid.dt, keeps)
+        step = case.matrix.solve(upper, besides, residual, EQUATION)
+        step[m:][keeps] = 0.0
+        step *= min(1.0, LONGEST / max(float(np.abs(step[:m]).max()), 1e-300))
+        for halving in range(HALVINGS + 1):
+            share = 0.5**halving
+            to = u + share * step[:m], p + share * step[m:]
+            tried = state(*to, vapour)
+            if tried[-1] < off:
+                break
+        (u, p), (found, moved, net, residual, off) = to, tried
+    return closest
+
+
+def _besides(case: Case, found: Borne, moved: Flow, dt: float, keeps: Array) -> csr_array:
+    """What friction and apertures add to the matrix, which is not symmetric, (m + d, m + d)."""
+    s, c = case.skeleton, case.conduits
+    m, d = case.push.shape
+    (slips,) = np.nonzero(found.slips & (found.cross != 0.0))
+    friction = s.sliding[slips].T @ diags_array(found.cross[slips]) @ s.parting[slips]
+    contact = np.append(c.contact, c.link_contact)
+    slope = dt * np.append(moved.by_parting, moved.link_by_parting)
+    (opens,) = np.nonzero((contact >= 0) & (slope != 0.0))
+    ends = np.append(np.append(c.i, c.link)[opens], np.append(c.j, np.full(len(c.link), d))[opens])
+    gains = coo_array(  # a side stands behind the last pore
+        (np.append(-slope[opens], slope[opens]), (ends, np.tile(np.arange(len(opens)), 2))),
+        shape=(d + 1, len(opens)),
+    ).tocsr()[:d]
+    gains = diags_array((~keeps).astype(float)) @ gains @ s.parting[contact[opens]]
+    added = coo_array(vstack([-friction, gains]))
+    return coo_array((added.data, added.coords), shape=(m + d, m + d)).tocsr()
+
+
+def _boils(
+    case: Case, fluid: Fluid, u: Array, p: Array, mass: Array, net: Array, vapour: Array
+) -> Array | None:
+    """Which pores are at the least pressure, where that changes; None where it does not."""
+    if not np.isfinite(case.least_pressure):
+        return None
+    spare = case.storage * p + case.pull @ u - (mass + net)  # volume of the vapour
+    little = 1e-12 * float(np.abs(case.storage).max(initial=0.0))
+    now = np.where(vapour, spare > -little, p < case.least_pressure) & ~fluid.held
+    return None if np.array_equal(now, vapour) else now
