@@ -119,6 +119,7 @@ def observe(
         found |= {name: getattr(tested, name) for name in CONFINEMENT}
     if stress is not None:
         found |= _stressed(stress, region, wanted)
+    found |= _overlap(stress, tested)
     if moduli is not None:
         found |= _elastic(moduli)
     if permeability is not None:
@@ -177,6 +178,12 @@ def _stressed(
         "idle_joints": stress.idle_joints,
     }
     return found | _chains(stress, region) if "force_chains" in wanted else found
+
+
+def _overlap(stress: StressState | None, tested: StrengthTest | None) -> dict[str, np.ndarray]:
+    """Largest overlap of grains that bear a load."""
+    told = [state.largest_overlap for state in (stress, tested) if state is not None]
+    return {"loaded_overlap": np.max(told)} if told else {}
 
 
 def _elastic(moduli: Moduli) -> dict[str, np.ndarray]:

@@ -97,6 +97,7 @@ class StressState(NamedTuple):
     wall_stress: Array  # (4,) Pa on the walls left, right, bottom, top
     unbalanced_ratio: Array  # () mean unbalanced force over mean contact force
     broken_bonds: Array  # ()
+    largest_overlap: Array  # () of two grains in contact, over the mean radius
     static: Array  # () 1 where the static solver found the state, 0 the explicit one
     steps: Array  # () time steps taken, or corrections of the static solver
 
@@ -120,6 +121,7 @@ class StrengthTest(NamedTuple):
     confinement_held: Array  # () 1 where that is small against the peak strength, else 0
     crack_count: Array  # () bonds and joint contacts broken at the end, k
     cracks_at_peak: Array  # ()
+    largest_overlap: Array  # () of two grains in contact at the end, over the mean radius
     axial_stress: Array  # (r,) Pa
     lateral_stress: Array  # (r,) Pa: mean of the lateral walls
     axial_strain: Array  # (r,) in the sense of the test

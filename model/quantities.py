@@ -151,6 +151,12 @@ CASE: dict[str, Quantity] = {
     ),
     "floater_fraction": Quantity("1", (), "part of all grains of the packing that bear no load"),
     "largest_overlap": Quantity("1", (), "largest overlap in the packing over the mean radius"),
+    "loaded_overlap": Quantity(
+        "1",
+        (),
+        "largest overlap of two grains under stress, or at the end of a test, over the mean radius",
+        comment="beyond 0.1 a case is not called good, beyond 0.5 it fails",
+    ),
     "packing_friction": Quantity("1", (), "friction at which the grains were packed"),
     "packing_pressure": Quantity(
         "1", (), "isotropic stress at which the grains were packed over the normal stiffness"

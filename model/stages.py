@@ -341,7 +341,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="demflow.model.mechanics.loading.stress:load",
-        version=9,
+        version=10,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -374,7 +374,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="demflow.model.mechanics.loading.strength:strength",
-        version=6,
+        version=7,
         parents=("pack", "specimen"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -562,7 +562,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="observe",
         function="demflow.model.observe:observe",
-        version=10,
+        version=11,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures", "moduli", "consolidate", "fracture"),

@@ -36,6 +36,9 @@ class Expectation:
     )
     residual: float | None = parameter(default=None, at_least=0, help="largest residual")
     range_error: float | None = parameter(default=None, at_least=0, help="largest range_error")
+    loaded_overlap: float | None = parameter(
+        default=None, at_least=0, help="largest loaded_overlap of grains, over the mean radius"
+    )
     smallest_pore: float | None = parameter(
         default=None, at_least=0, help="largest smallest_pore: slivers were there"
     )
@@ -58,6 +61,7 @@ DEFAULTS = {
     "flow_balance_error": 0.1,
     "residual": 0.1,
     "range_error": 0.1,
+    "loaded_overlap": 0.1,
 }
 JUDGED = (*BOUNDED, "tolerance_met")
 

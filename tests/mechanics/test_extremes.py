@@ -22,7 +22,10 @@ from demflow.model.mechanics.packing.compaction import hydrostatic
 from demflow.model.mechanics.specimen.measures import listed, overlaps
 from demflow.model.outcome import ModelError
 from demflow.model.parameters import SceneError
-from demflow.model.scene import Bonds, FailureTest, Joint, JointLine, Stress
+from demflow.model.region import Rectangle
+from demflow.model.scene import Bonds, FailureTest, Grains, Joint, JointLine, Scene, Stress
+from demflow.model.stages import simulate
+from demflow.sweep.study.expect import Expectation, beyond_bounds
 from tests.mechanics.rocks import packed
 
 pytestmark = pytest.mark.slow
@@ -236,3 +239,26 @@ def test_a_stress_that_presses_grains_flat_is_borne(rock) -> None:
     state = loaded(rock, 1e9, 1e9)
     np.testing.assert_allclose(state.wall_stress, 1e9, rtol=5e-3)
     assert np.isfinite(state.normal_force).all()
+
+
+@pytest.mark.parametrize("cement", [None, bonds(1e9)], ids=["loose", "bonded"])
+@pytest.mark.parametrize(
+    ("modulus", "ends"), [(2e10, "good"), (4e7, "not good"), (5e6, "overlap by 1")]
+)
+def test_grains_that_pass_through_one_another_are_told(modulus, ends, cement):
+    """At 5 MPa: a few thousandths of a radius, a third of one, more than a whole one."""
+    scene = Scene(
+        region=Rectangle(1.0, 1.0),
+        grains=Grains(count=120, porosity=0.17, modulus=modulus, stiffness_ratio=2.5),
+        bonds=cement,
+        stress=Stress(5e6, 5e6),
+        observe=("force_chains",),
+    )
+    if ends.startswith("overlap"):
+        with pytest.raises(ModelError, match=ends):
+            simulate(scene)
+        return
+    overlap = float(simulate(scene)["loaded_overlap"])
+    assert bool(beyond_bounds(Expectation(), {"loaded_overlap": overlap})) == (ends == "not good")
+    # the mean contact of a packing bears about 2 r times the stress, the most loaded ten times that
+    assert 5e6 / modulus < overlap < 50e6 / modulus

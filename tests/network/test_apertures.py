@@ -66,6 +66,7 @@ def state(force, x=None, y=None, kept=slice(None), joint_gap=None):
         wall_stress=np.zeros(4),
         unbalanced_ratio=np.asarray(0.0),
         broken_bonds=np.asarray(0),
+        largest_overlap=np.asarray(0.0),
         static=np.asarray(0),
         steps=np.asarray(0),
     )

@@ -11,6 +11,7 @@ from demflow.model.mechanics.contact.contacts import Sums
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen import records
+from demflow.model.mechanics.specimen.measures import largest_overlap
 from demflow.model.mechanics.specimen.records import Broken, Carried
 from demflow.model.mechanics.static.static import Found
 from demflow.model.mechanics.static.sticking import StickingTrial
@@ -94,6 +95,7 @@ def held_state(
 def _product(rest: Rest, packing: Packing, normal_stiffness: float) -> StressState:
     grains, box, sums, contacts, cracks = rest[:5]
     unit = float(packing.radius.mean())
+    overlap = largest_overlap(grains.x, grains.y, grains.radius, contacts.a, contacts.b)
     if rest.is_static:  # its left and bottom walls stood
         shift_x, shift_y = 0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3])
         grains.x[:] -= shift_x
@@ -127,6 +129,7 @@ def _product(rest: Rest, packing: Packing, normal_stiffness: float) -> StressSta
         wall_stress=normal_stiffness * walls,
         unbalanced_ratio=np.array(rest.ratio),
         broken_bonds=np.array(rest.broken_bonds),
+        largest_overlap=np.array(overlap),
         static=np.array(int(rest.is_static)),
         steps=np.array(rest.steps),
     )

@@ -114,6 +114,7 @@ def strength(
         rows = _pull(specimen, test)
     else:
         _hold(specimen, confining, test.confining_stress)
+        _overlap(specimen)
         rows = _press(specimen, test, confining, counted=bool(energy))
     step, stress, axial, lateral, left, right, cracks = np.array(rows).T
     peak = int(np.argmax(stress))
@@ -136,6 +137,7 @@ def strength(
         confinement_held=np.array(int(deviation <= CONFINED * stress[peak])),
         crack_count=np.array(cracks[-1]),
         cracks_at_peak=np.array(cracks[peak]),
+        largest_overlap=np.array(_overlap(specimen)),
         axial_stress=normal_stiffness * stress,
         lateral_stress=normal_stiffness * walls.mean(axis=0),
         axial_strain=axial,
@@ -158,6 +160,14 @@ def _spent(specimen: Specimen) -> Array:
     lost = found.damping + found.jerks
     return np.array(
         [found.input, found.elastic, found.kinetic, found.slip, found.breakage, lost, found.error]
+    )
+
+
+def _overlap(specimen: Specimen) -> float:
+    """Largest overlap of two grains, over the mean radius; raises `ModelError` beyond a bound."""
+    grains = specimen.grains
+    return measures.largest_overlap(
+        grains.x, grains.y, grains.radius, *measures.listed(specimen.pairs)
     )
 
 

@@ -8,9 +8,11 @@ from scipy.sparse.csgraph import connected_components
 
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.contact.neighbours import Pairs
+from demflow.model.outcome import ModelError
 from demflow.model.products import Packing
 from demflow.model.region import Region, contains
 
+MOST_OVERLAP = 0.5  # mean radii, at which a state of grains is none
 PARTS = 16  # of a branch, to find how much of it lies in a region
 
 
@@ -30,6 +32,21 @@ def overlaps(x: Array, y: Array, radius: Array, a: Array, b: Array) -> Array:
     b : second grain of each contact, (c,)
     """
     found: Array = radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])
+    return found
+
+
+def largest_overlap(x: Array, y: Array, radius: Array, a: Array, b: Array) -> float:
+    """Largest overlap of pairs of grains (a, b), all in mean radii, 0 where none overlap.
+
+    Raises `ModelError` beyond `MOST_OVERLAP`: grains that stand for a rock do not pass through
+    one another.
+    """
+    found = float(overlaps(x, y, radius, a, b).max(initial=0.0))
+    if found > MOST_OVERLAP:
+        raise ModelError(
+            f"grains overlap by {found:.2g} mean radii, more than {MOST_OVERLAP:g}: they are too "
+            "soft for the stress; raise grains.modulus, or lower the stress"
+        )
     return found
 
 
