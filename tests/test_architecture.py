@@ -72,7 +72,7 @@ MACHINERY = {  # rooms of the sweep that may see more of the model, and what
     "sweep.dataset": ("model.maps", "model.products"),
     "sweep.fitting": ("model.products",),
     "sweep.command": ("model.compilation",),
-    "sweep.analysis": ("model.analytic", "model.transient"),
+    "sweep.analysis": ("model.analytic", "model.transient", "model.threads"),
     "sweep.figures": ("model.analytic", "model.transient"),
 }
 DOORS = {  # outer library: the only rooms that may import it

@@ -17,6 +17,8 @@ import numpy as np
 from scipy import optimize, stats
 from scipy.stats import qmc
 
+from demflow.model.threads import one_blas_thread
+
 CONFIDENCE = 0.95
 FAR_APART = 3.0  # upper over lower bound from which on the scale is logarithmic
 WIDE = 10.0  # an interval over such a factor tells no more than an order of magnitude
@@ -175,6 +177,7 @@ class _Problem:
         return np.array(columns).T
 
 
+@one_blas_thread()
 def fit(
     predict: Predict,
     data: np.ndarray,

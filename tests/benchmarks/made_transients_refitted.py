@@ -15,7 +15,7 @@ from tests.benchmarks.result import Result
 
 COUNT = 100  # transients of each model
 NOISE = 0.01  # of the pressure change of each point
-POINTS, FIRST, LAST = 60, 10.0, 1e6  # times, s
+POINTS, FIRST, LAST = 40, 10.0, 1e6  # times, s
 ROCK = Rock(porosity=0.2, viscosity=1e-3, compressibility=1e-9, well_radius=0.1, thickness=10.0)
 RATE = 1e-3  # m³/s
 INITIAL = 3e7  # Pa

@@ -1,6 +1,7 @@
 """Regimes, fits, tensors and comparisons, on transients and fields that are known in full."""
 
 import dataclasses
+import itertools
 import math
 
 import numpy as np
@@ -22,6 +23,8 @@ from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
 from demflow.sweep.analysis.permeability import ensemble, principal_permeability
 from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
 from demflow.sweep.analysis.regimes import detect_regimes, fit_permeability, fitted_permeability
+from demflow.sweep.analysis.reservoirs import MODELS, unit_response
+from demflow.sweep.study.reservoir import PARAMETERS, Rock, parameters_of
 
 MD = 9.869233e-16
 FLUID = Fluid(viscosity=1.0, bulk_modulus=1e9)
@@ -63,6 +66,56 @@ def test_a_well_with_a_constant_pressure_boundary_ends_steady():
     t = np.geomspace(1e2, 1e9, 200)
     found = named(t, radial_dimensionless_pressure(1.0, t, 2000.0))
     assert found == ["radial", "steady"]
+
+
+def response(model, **values):
+    """A transient of a reservoir model in units of its well, 20 points a decade."""
+    rock = Rock(porosity=1.0, viscosity=1.0, compressibility=1.0, well_radius=1.0)
+    known = {name: PARAMETERS[name].default for name in parameters_of(model)}
+    known |= {"permeability": 1.0, "initial_pressure": 0.0, **values}
+    t = np.geomspace(1e2, 1e10, 161)
+    return t, unit_response(MODELS[model], rock, known, t)
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "expected"),
+    [
+        (
+            "homogeneous",
+            {"wellbore_storage": 1e4, "skin_factor": 2.0},
+            ["wellbore storage", "radial"],
+        ),
+        ("fault", {"distance": 2e3}, ["radial", "one fault"]),
+        ("corner", {"distance": 2e3, "ratio": 1.1}, ["radial", "corner"]),
+        ("channel", {"width": 5e3}, ["radial", "channel"]),
+        ("closed_circle", {"radius": 5e3}, ["radial", "pseudo-steady"]),
+        ("constant_pressure_circle", {"radius": 5e3}, ["radial", "steady"]),
+        ("infinite_conductivity_fracture", {"half_length": 1e3}, ["linear", "radial"]),
+        (
+            "finite_conductivity_fracture",
+            {"half_length": 1e4, "fracture_conductivity": 3e3},
+            ["bilinear", "radial"],
+        ),
+    ],
+)
+def test_regimes_of_reservoir_models_are_read_with_noise(model, values, expected):
+    t, change = response(model, **values)
+    noisy = change * (1.0 + 1e-3 * np.random.default_rng(0).normal(size=len(t)))
+    for one in (change, noisy):
+        found = detect_regimes(t, one, bourdet_derivative(t, one, smoothing=0.3))
+        assert [regime.name for regime in found] == expected
+        assert all(0.0 < regime.confidence <= 1.0 for regime in found)
+        assert all(a.end <= b.start for a, b in itertools.pairwise(found))
+
+
+def test_a_short_stretch_is_less_sure_than_a_long_one():
+    t, change = response("fault", distance=2e3)
+    early = t < 1e6
+    long = detect_regimes(t, change, bourdet_derivative(t, change))[0]
+    short = detect_regimes(t[early], change[early], bourdet_derivative(t[early], change[early]))
+    (cut,) = detect_regimes(t[t < 2e3], change[t < 2e3], bourdet_derivative(t, change)[t < 2e3])
+    assert short[0].name == long.name == cut.name == "radial"
+    assert cut.confidence < long.confidence
 
 
 def test_permeability_comes_back_from_the_radial_plateau():
