@@ -73,7 +73,7 @@ def run() -> Result:
         )
         diary, watch = folder / f"diary{number}", Watch(folder / f"toy{number}")
         os.environ[toy_stages.DIARY] = str(diary)
-        finished = toys.run(path, watch.results, progress=watch.look)
+        finished = toys.run(path, watch.results, workers=2, progress=watch.look)
         del os.environ[toy_stages.DIARY]
         begun = toy_stages.noted(diary, "begins")
         assert len(begun) == CASES

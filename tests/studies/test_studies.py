@@ -30,7 +30,7 @@ def ran(request, tmp_path_factory):
     """A study, its dataset and the folder of its results, from one small run."""
     results = tmp_path_factory.mktemp(request.param.stem)
     study = sweep.load_study(request.param, smoke=True)
-    dataset = sweep.run(request.param, workers=2, results=results, smoke=True)
+    dataset = sweep.run(request.param, workers=1, results=results, smoke=True)
     return study, dataset, results / study.name
 
 
@@ -72,7 +72,7 @@ def test_a_second_run_computes_nothing(ran, monkeypatch):
         raise AssertionError("a finished study starts no workers")
 
     monkeypatch.setattr("demflow.sweep.execution.loop.execute", refuse)
-    again = sweep.run(study.path, workers=2, results=folder.parent, smoke=True)
+    again = sweep.run(study.path, workers=1, results=folder.parent, smoke=True)
     assert again.identical(dataset)
 
 

@@ -50,7 +50,7 @@ def assert_same_bits(a: Path, b: Path) -> None:
 def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("done")
     path = toys.write_study(folder)
-    return path, toys.run(path, folder / "results")
+    return path, toys.run(path, folder / "results", workers=2)
 
 
 def test_shared_stages_run_once(done):

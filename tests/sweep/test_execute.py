@@ -52,7 +52,7 @@ def poisoned(tmp_path_factory):
         limits="{time: 2 s}",
     )
     seen = []
-    finished = toys.run(path, folder / "results", progress=seen.append)
+    finished = toys.run(path, folder / "results", progress=seen.append, workers=2)
     return path, finished, open_results(finished.folder), seen
 
 
@@ -87,19 +87,19 @@ def variant(path, rates, limit="2 s"):
 def test_a_failure_is_not_met_again_unless_asked_for(poisoned):
     path, finished, _, _ = poisoned
     results = finished.folder.parent
-    again = toys.run(path, results)
+    again = toys.run(path, results, workers=2)
     assert again.executed is None
     assert not again.collected
     few = variant(path, (1.0, toy_stages.RAISES, toy_stages.BREAKS))
-    asked = toys.run(few, results, retry_failed=True)
+    asked = toys.run(few, results, retry_failed=True, workers=2)
     assert (asked.executed.failed, asked.executed.computed) == (2, 0)
 
 
 def test_a_limit_that_was_raised_is_tried_again(poisoned):
     path, finished, _, _ = poisoned
     rates = (1.0, toy_stages.HANGS)
-    raised = toys.run(variant(path, rates, "2.1 s"), finished.folder.parent)
-    lowered = toys.run(variant(path, rates, "1.9 s"), finished.folder.parent)
+    raised = toys.run(variant(path, rates, "2.1 s"), finished.folder.parent, workers=2)
+    lowered = toys.run(variant(path, rates, "1.9 s"), finished.folder.parent, workers=2)
     assert raised.executed.failed == 1
     assert lowered.executed is None
 
@@ -110,7 +110,7 @@ def test_a_memory_limit_that_was_raised_is_tried_again(tmp_path, capsys):
 
     def ran(limits: str):
         path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, limits=limits)
-        return path, toys.run(path, results)
+        return path, toys.run(path, results, workers=2)
 
     path, low = ran("{memory: 160 MB}")
     assert open_results(low.folder).status.values.ravel()[1] == Status.OUT_OF_MEMORY
@@ -119,7 +119,7 @@ def test_a_memory_limit_that_was_raised_is_tried_again(tmp_path, capsys):
     capsys.readouterr()
     toys.demflow("status", str(path), "--results", str(results))
     assert "1 of them: tried again by the next run" in capsys.readouterr().err
-    high = toys.run(path, results)
+    high = toys.run(path, results, workers=2)
     assert (high.executed.computed, high.failed) == (2, 0)
 
 
@@ -128,7 +128,7 @@ def test_without_limits_a_case_has_its_share_of_the_machine(tmp_path, monkeypatc
     monkeypatch.setattr("demflow.sweep.execution.limits.LEAST", 1e6)
     rates = (1.0, toy_stages.GROWS, 2.0)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates)
-    dataset = open_results(toys.run(path, tmp_path / "results").folder)
+    dataset = open_results(toys.run(path, tmp_path / "results", workers=2).folder)
     ended = [Status.DONE, Status.OUT_OF_MEMORY, Status.DONE]
     assert list(dataset.status.values.ravel()) == ended
     assert "flow: more than 0.3 GB" in dataset.message.sel(rate=toy_stages.GROWS, seed=1).item()
@@ -142,7 +142,7 @@ def test_the_time_of_a_case_is_that_of_all_its_stages(tmp_path):
     path = toys.write_study(
         tmp_path, seeds=seeds, stresses=(), rates=(1.0,), seconds=1.2, limits="{time: 2 s}"
     )
-    dataset = open_results(toys.run(path, tmp_path / "results").folder)
+    dataset = open_results(toys.run(path, tmp_path / "results", workers=2).folder)
     assert list(dataset.status.values.ravel()) == [Status.DONE, Status.TIMED_OUT]
     message = dataset.message.values.ravel()[1]
     assert re.match(r"flow: not done after 2 s, 1\.[2-9]\d* s of them in earlier stages", message)
@@ -151,7 +151,7 @@ def test_the_time_of_a_case_is_that_of_all_its_stages(tmp_path):
 def test_compiling_is_no_time_of_a_case(tmp_path):
     rates = (1.0, toy_stages.COMPILES, toy_stages.COMPILES_AND_HANGS)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates, limits="{time: 1 s}")
-    finished = toys.run(path, tmp_path / "results")
+    finished = toys.run(path, tmp_path / "results", workers=2)
     status = open_results(finished.folder).status.values.ravel()
     assert list(status) == [Status.DONE, Status.DONE, Status.TIMED_OUT]
     assert finished.failed == 1
@@ -162,7 +162,7 @@ def test_a_case_that_grows_is_stopped_at_its_memory_limit(tmp_path):
     path = toys.write_study(
         tmp_path, seeds=(1,), stresses=(), rates=rates, limits="{memory: 300 MB}"
     )
-    dataset = open_results(toys.run(path, tmp_path / "results").folder)
+    dataset = open_results(toys.run(path, tmp_path / "results", workers=2).folder)
     assert list(dataset.status.values.ravel()) == [Status.DONE, Status.OUT_OF_MEMORY]
     message = dataset.message.sel(rate=toy_stages.GROWS, seed=1).item()
     assert message.startswith("flow: more than 0.3 GB, the study's limits.memory")
@@ -173,7 +173,7 @@ def test_a_case_that_hangs_in_compiled_code_behind_short_ones_is_the_one_to_blam
     path = toys.write_study(
         tmp_path, seeds=(1,), stresses=(), rates=rates, seconds=0.01, limits="{time: 1 s}"
     )
-    finished = toys.run(path, tmp_path / "results")
+    finished = toys.run(path, tmp_path / "results", workers=2)
     dataset = open_results(finished.folder)
     assert (finished.cases, finished.failed) == (61, 1)
     assert dataset.status.sel(rate=toy_stages.HOLDS_ON) == Status.TIMED_OUT
@@ -227,7 +227,7 @@ def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing
     watcher = threading.Thread(target=watch)
     watcher.start()
     try:
-        finished = toys.run(path, tmp_path / "results")
+        finished = toys.run(path, tmp_path / "results", workers=2)
     finally:
         stop.set()
         watcher.join()
@@ -244,7 +244,7 @@ def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing
 
 def test_workers_killed_from_outside_cost_no_case(tmp_path):
     path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(), rates=HEALTHY, seconds=0.15)
-    undisturbed = open_results(toys.run(path, tmp_path / "calm").folder)
+    undisturbed = open_results(toys.run(path, tmp_path / "calm", workers=2).folder)
     mine = os.getpid()
     stop = threading.Event()
     killed = []
@@ -263,7 +263,7 @@ def test_workers_killed_from_outside_cost_no_case(tmp_path):
     killer = threading.Thread(target=kill_now_and_then)
     killer.start()
     try:
-        finished = toys.run(path, tmp_path / "stormy")
+        finished = toys.run(path, tmp_path / "stormy", workers=2)
     finally:
         stop.set()
         killer.join()
