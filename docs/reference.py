@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import os
 import sys
 import typing
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from demflow.model import quantities
 from demflow.model.scene import OBSERVABLES, Scene
@@ -420,12 +423,37 @@ def commands_page() -> str:
     return "\n".join(parts)
 
 
+def studies_page() -> str:
+    """The studies that come with demflow: what each asks, and what it varies."""
+    parts = [
+        "# Studies to start from\n\n"
+        "Each file under `studies/` answers one question; copy the nearest to yours.\n"
+    ]
+    for path in sorted(STUDIES):
+        if path.parent.name != "studies":
+            continue
+        study = load_study(path)
+        lines = itertools.takewhile(lambda line: line.startswith("#"), study.text.splitlines())
+        asked = " ".join(line.lstrip("# ") for line in lines)
+        count = int(np.prod(study.shape)) if study.kept is None else int(study.kept.sum())
+        axes = "; ".join(
+            f"`{axis.name}` ({len(axis.values)}: {', '.join(f'`{p}`' for p in axis.parameters)})"
+            if axis.parameters
+            else f"`{axis.name}` ({len(axis.values)} variants)"
+            for axis in study.axes
+        )
+        varied = f"{count} cases: {axes}." if axes else "One case."
+        parts.append(f"## {path.name}\n\n*{_prose(study.title)}.* {_prose(asked)}\n\n{varied}\n")
+    return "\n".join(parts)
+
+
 def pages() -> dict[str, str]:
     """The text of each page by its file's name."""
     return {
         "study.md": StudyPage().text(),
         "dataset.md": dataset_page(),
         "commands.md": commands_page(),
+        "studies.md": studies_page(),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
 import shlex
 import shutil
@@ -109,7 +110,14 @@ def test_the_tutorial_can_be_followed(folder):
     along, across = names["along"], names["across"]
     ratio = (along / across).sel(angle=[0, 90]).values
     assert ratio[0] > 1.0 > ratio[1]
-    # the page goes on as others do, with what this one left
+    # others go on with what this one left
+    notebook = json.loads((DOCS / "analysis.ipynb").read_text())
+    cells: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            exec(compile("".join(cell["source"]), "analysis.ipynb", "exec"), cells)
+    assert cells["values"].shape == (4, 2)
+    assert len(cells["table"]) == 8
     for text in _blocks(DOCS / "how-to.md", "python"):
         exec(compile(text, "how-to.md", "exec"), {})
 
