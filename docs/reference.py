@@ -286,6 +286,8 @@ def _value(section: Section) -> str:
             getattr(section, "inner", None), Parameter
         ):
             return text
+    if isinstance(section, WordOrBlock):
+        return f"{_value(section.block.members[section.key].section)}, or a block, below"
     parameter = _parameter(section)
     if parameter is None:
         raise TypeError(f"no reference for {type(section).__name__}")
@@ -325,6 +327,8 @@ def _inside(section: Section) -> Iterator[tuple[str, Section, str]]:
         for word, block in section.laws.items():
             yield "", block, f"a law with `{word}`"
     else:
+        if isinstance(section, WordOrBlock):
+            yield "", section.block, ""
         for name, told in _FORMS.items():
             if hasattr(section, name):
                 yield "", getattr(section, name), told

@@ -76,9 +76,9 @@ class Rock(NamedTuple):
 
     def widths(self, members: list[tuple[Fracture, ...]]) -> Iterator[np.ndarray]:
         """Hydraulic apertures of the branches of each member, (e,) m."""
-        across = stress_across(self.walked, self.stress, members[0])
         lines = acting_lines(members[0], self.region)
         of_line = np.array([line.fracture for line in lines], dtype=np.int64)
+        felt = stress_across(self.walked, self.stress, members[0], of_line)
         for fractures in members:
             given = [fracture.aperture or 0.0 for fracture in fractures]
             if all(isinstance(one, float | int) for one in given):
@@ -87,7 +87,7 @@ class Rock(NamedTuple):
                 own = np.array(
                     [line.aperture or 0.0 for line in acting_lines(fractures, self.region)]
                 )
-            yield branch_apertures(self.walked, across, fractures, of_line, own)
+            yield branch_apertures(self.walked, felt, fractures, of_line, own)
 
 
 def emulator(

@@ -100,6 +100,7 @@ class StressState(NamedTuple):
     largest_overlap: Array  # () of two grains in contact, over the mean radius
     static: Array  # () 1 where the static solver found the state, 0 the explicit one
     steps: Array  # () time steps taken, or corrections of the static solver
+    joint_slip: Array = np.empty(0)  # (c,) m: length of slip of a joint there; none: no joint
 
 
 class Moduli(NamedTuple):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from demflow.model.network.fractures.closure import closed, normal_stress
+from demflow.model.network.fractures.closure import closed, normal_stress, on_joint
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network, Permeability, StressState, Walk
 from demflow.model.region import Region
@@ -172,8 +172,8 @@ def open_pipes(
         branch_length=walked.branch_length,
     )
     open_lines = np.array([line.aperture or 0.0 for line in lines])
-    across = stress_across(walked, stress, fractures)
-    hydraulic = branch_apertures(walked, across, fractures, fracture, open_lines)
+    felt = stress_across(walked, stress, fractures, fracture)
+    hydraulic = branch_apertures(walked, felt, fractures, fracture, open_lines)
     result = with_branches(result, walked, hydraulic, viscosity)
     result = _with_barriers(result, network, walked, [fractures[k] for k in fracture], viscosity)
     ends = walked.branch_line[(walked.node_side[walked.branch_a, 0] >= 0)]
@@ -203,34 +203,59 @@ def _widened(
     return _per_line(walked, line[wins]), on_fracture
 
 
+class Felt(NamedTuple):
+    """What the branches of traces feel of a stress."""
+
+    across: np.ndarray  # (e,) Pa, compression positive
+    opening: np.ndarray  # (e,) m, of joints that slid and dilate, or that nothing presses
+
+
 def stress_across(
-    walked: Walk, stress: StressState | None, fractures: tuple[Fracture, ...]
-) -> np.ndarray | None:
-    """Stress across each branch, (e,) Pa; None where no law makes apertures feel it."""
-    lawless = all(fracture.closure is None for fracture in fractures)
-    if stress is None or lawless or not len(walked.branch_line):
+    walked: Walk, stress: StressState | None, fractures: tuple[Fracture, ...], of_line: np.ndarray
+) -> Felt | None:
+    """Stress across each branch; None where no law makes apertures feel it.
+
+    That of the rock around, but of a joint what its own contacts bear. `of_line` (lines,) is the
+    fracture that each line is of.
+    """
+    closing = [f.closure is not None and f.closure.closes for f in fractures]
+    if stress is None or not any(closing) or not len(walked.branch_line):
         return None
-    return normal_stress(stress, walked)
+    across = normal_stress(stress, walked)
+    opening = np.zeros(len(across))
+    for line, number in enumerate(of_line.tolist()):
+        joint = fractures[number].joint
+        if joint is None or not closing[number]:
+            continue
+        ours = walked.branch_line == line
+        ends = np.stack([walked.branch_a[ours], walked.branch_b[ours]])
+        start, end = walked.line_start[line], walked.line_end[line]
+        middle = np.column_stack([walked.node_x[ends].mean(0), walked.node_y[ends].mean(0)])
+        at = (middle - start) @ (end - start) / np.hypot(*(end - start))
+        found = on_joint(stress, start, end, at, float(np.tan(joint.dilation_angle)))
+        if found is not None:
+            across[ours], opening[ours] = found.normal, found.opening
+    return Felt(across, opening)
 
 
 def branch_apertures(
     walked: Walk,
-    across: np.ndarray | None,
+    felt: Felt | None,
     fractures: tuple[Fracture, ...],
     of_line: np.ndarray,
     aperture: np.ndarray,
 ) -> np.ndarray:
-    """Hydraulic apertures of the branches, (e,) m, under the stress `across` them.
+    """Hydraulic apertures of the branches, (e,) m, under the stress that they feel.
 
     `of_line` (lines,) is the fracture that each line is of, `aperture` (lines,) m what it has
     without stress.
     """
     result = aperture[walked.branch_line]
-    if across is None:
+    if felt is None:
         return result
-    for law in {f.closure for f in fractures if f.closure is not None}:
+    for law in {f.closure for f in fractures if f.closure is not None and f.closure.closes}:
         ours = np.array([f.closure == law for f in fractures])[of_line][walked.branch_line]
-        result[ours] = closed(result[ours], across[ours], law)
+        result[ours] = closed(result[ours], felt.across[ours], law) + felt.opening[ours]
     return result
 
 

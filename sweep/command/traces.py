@@ -22,6 +22,25 @@ def told_traces(study: Study) -> list[str]:
     ]
 
 
+def told_closures(study: Study) -> list[str]:
+    """One line for each part of the rock that stays as open as it is while stress is varied."""
+    moved = {path for axis in study.axes for path in axis.parameters}
+    if not any(path.split(".")[0] in ("stress", "gravity", "excavate") for path in moved):
+        return []
+    scene = case_at(study, (0,) * len(study.axes)).scene
+    stays = "apertures are the same at every stress that is varied"
+    told = [
+        f"fractures.{fracture.name}: {stays}, "
+        + ("as closure: none says" if fracture.closure else "for it has no closure")
+        for fracture in scene.fractures
+        if fracture.part == "trace" and not (fracture.closure and fracture.closure.closes)
+    ]
+    matrix = scene.matrix
+    if scene.porous and matrix and matrix.half_force is None and matrix.half_stress is None:
+        told.append(f"matrix: {stays}, for it has neither half_stress nor half_force")
+    return told
+
+
 def _told(fracture: TraceMap | RandomSet, scene: Scene) -> str:
     lines = lines_of((fracture,), scene.rock)
     length = np.bincount([line.trace for line in lines], [line.length for line in lines])

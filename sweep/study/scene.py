@@ -24,6 +24,7 @@ from demflow.model.scene import (
     BiWing,
     Circle,
     CircularHole,
+    Closure,
     Coupling,
     Excavation,
     FractureSet,
@@ -395,8 +396,11 @@ def _scene() -> Block:
     point = Parameter(mapped["origin"], tuple[float, float], optional=False)
     around = next(f for f in dataclasses.fields(Refinement) if f.name == "around")
     place = Parameter(around, tuple[float, float], optional=False)
+    closure: dict[str, Section] = {"closure": WordOrBlock("law", block_of(Closure))}
     within: Specials = {
+        **dict.fromkeys((BiWing, FractureSet, RandomSet, Trace), closure),
         TraceMap: {
+            **closure,
             "file": MapFiles(mapped["file"], rings=False),
             "area": MapFiles(mapped["area"], rings=True),
             "origin": WordOr(("centroid", "file"), point),

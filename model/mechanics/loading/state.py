@@ -80,6 +80,7 @@ def held_state(
         trial.shear,
         np.ones(count, bool),
         np.full(count, np.nan),
+        np.zeros(count),
     )
     none = np.empty(0)
     whole = np.empty(0, np.int64)
@@ -132,4 +133,5 @@ def _product(rest: Rest, packing: Packing, normal_stiffness: float) -> StressSta
         largest_overlap=np.array(overlap),
         static=np.array(int(rest.is_static)),
         steps=np.array(rest.steps),
+        joint_slip=unit * contacts.joint_slip if contacts.joint_slip.any() else np.empty(0),
     )

@@ -24,6 +24,7 @@ class Carried(NamedTuple):
     shear: Array  # (c,) force across it, see `contacts`
     bonded: Array  # (c,) bool
     joint_gap: Array  # (c,) opening of the joint there, NaN where there is none
+    joint_slip: Array  # (c,) length of its slip so far, 0 where there is none
 
 
 class Broken(NamedTuple):
@@ -68,9 +69,16 @@ def carried(specimen: Specimen) -> Carried:
         (fy * dx - fx * dy) / distance,
         joints.state[acts] == INTACT,
         joints.gap[acts],
+        joints.slipped[acts],
     )
     plain = Carried(
-        a[kept], b[kept], normal[kept], shear[kept], glued[kept], np.full(kept.sum(), np.nan)
+        a[kept],
+        b[kept],
+        normal[kept],
+        shear[kept],
+        glued[kept],
+        np.full(kept.sum(), np.nan),
+        np.zeros(kept.sum()),
     )
     both = Carried(*map(np.concatenate, zip(plain, joined, strict=True)))
     order = np.lexsort((both.b, both.a))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -11,6 +13,9 @@ from demflow.model.scene import BartonBandis, Closure
 
 # Grains around a piece whose mean stress is that across it; fewer scatter by their force chains.
 AROUND = 800
+
+# Contacts of a joint whose forces are the stress across one of its pieces.
+ALONG = 30
 
 # The layer at the walls, in parts of the specimen, is no sample of its inside.
 LAYER = 0.1
@@ -84,6 +89,11 @@ def closed(w0: np.ndarray, stress: np.ndarray, law: Closure) -> np.ndarray:
     law : how they close
     """
     stress = np.maximum(stress, 0.0)
+    if not law.closes:
+        return w0.copy()
+    if law.table is not None:
+        at, aperture = np.array(law.table).T
+        return w0 * np.interp(stress, at, aperture / aperture[0])
     if law.half_stress is not None:
         left = half_stress(w0, stress, law.half_stress)
     elif law.barton_bandis is not None:
@@ -139,3 +149,66 @@ def normal_stress(state: StressState, walked: Walk) -> np.ndarray:
         tensor = grains[near[part]].sum(axis=1) / area + offset
         found[part] = np.einsum("ei,eij,ej->e", across[part], tensor, across[part])
     return found
+
+
+class OnJoint(NamedTuple):
+    """What the contacts of a joint tell of the pieces of its trace."""
+
+    normal: np.ndarray  # (e,) Pa, compression positive
+    shear: np.ndarray  # (e,) Pa along the trace
+    opening: np.ndarray  # (e,) m: by slip of a dilating joint, and gaps where nothing presses
+
+
+def on_joint(
+    state: StressState, start: np.ndarray, end: np.ndarray, at: np.ndarray, dilation: float
+) -> OnJoint | None:
+    """Stresses on, and opening of, pieces of a straight joint; None where no contact crosses it.
+
+    Forces of the `ALONG` joint contacts nearest along the trace, over the length that falls to
+    them, half of the way to the next on either side: over the whole trace their sum is the force
+    that the rock on one side exerts on the other.
+
+    Parameters
+    ----------
+    state : grains in equilibrium, with the joints' contacts.
+    start, end : of the trace, (2,) m.
+    at : places along it, m from its start, (e,).
+    dilation : tangent of the joint's dilation angle.
+    """
+    step = end - start
+    length = float(np.hypot(*step))
+    along, across = step / length, np.array([-step[1], step[0]]) / length
+    joined = np.flatnonzero(np.isfinite(state.joint_gap))
+    a, b = state.contact_a[joined], state.contact_b[joined]
+    place = np.column_stack([state.x, state.y]) - start
+    ha, hb = place[a] @ across, place[b] @ across
+    met = np.where(ha != hb, ha / np.where(ha != hb, ha - hb, 1.0), 0.5)
+    s = place[a] @ along + met * ((place[b] - place[a]) @ along)
+    ours = (met >= 0.0) & (met <= 1.0) & (s >= 0.0) & (s <= length)
+    order = np.flatnonzero(ours)[np.argsort(s[ours], kind="stable")]
+    if not len(order):
+        return None
+    joined, a, b, s = joined[order], a[order], b[order], s[order]
+    branch = place[b] - place[a]
+    normal = branch / np.hypot(*branch.T)[:, None]
+    force = state.normal_force[joined, None] * normal
+    force += state.shear_force[joined, None] * np.column_stack([-normal[:, 1], normal[:, 0]])
+    force *= np.where(hb[order] > ha[order], 1.0, -1.0)[:, None]  # on the left side
+    gap = state.joint_gap[joined]
+    lifted = np.zeros(len(s))
+    if len(state.joint_slip):
+        lifted = dilation * np.where(gap < 0.0, state.joint_slip[joined], 0.0)
+    many = min(ALONG, len(s))
+    edges = np.concatenate([[0.0], 0.5 * (s[:-1] + s[1:]), [length]])
+    first = np.clip(np.searchsorted(s, at) - many // 2, 0, len(s) - many)
+    span = edges[first + many] - edges[first]
+
+    def summed(values: np.ndarray) -> np.ndarray:
+        total = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(total[first + many] - total[first])
+
+    pressed = summed(force @ across) / span
+    # gaps between single grains say nothing of a joint that is pressed together as a whole
+    parted = np.where(pressed > 0.0, 0.0, summed(np.maximum(gap, 0.0)) / many)
+    bearing = np.maximum(summed((gap < 0.0).astype(float)), 1.0)
+    return OnJoint(pressed, summed(force @ along) / span, parted + summed(lifted) / bearing)
