@@ -394,6 +394,8 @@ def dataset_page() -> str:
     ]
     for title, table in (
         ("Of each case", quantities.CASE),
+        ("Principal permeability", quantities.PRINCIPAL),
+        ("Of ensembles", quantities.ENSEMBLE),
         ("Of the run", quantities.SWEEP),
         ("Of each case, as many as it has", quantities.RAGGED),
         ("Coordinates", quantities.COORDINATES),

@@ -432,6 +432,43 @@ RAGGED: dict[str, Quantity] = {
     ),
 }
 
+# What the sweep makes of the permeability of each case.
+PRINCIPAL: dict[str, Quantity] = {
+    "permeability_largest": Quantity(
+        "m2", (), "largest principal permeability", ("permeability",), gaps=True
+    ),
+    "permeability_smallest": Quantity(
+        "m2", (), "smallest principal permeability", ("permeability",), gaps=True
+    ),
+    "permeability_direction": Quantity(
+        "degree",
+        (),
+        "direction of the largest permeability from the x axis, counter-clockwise",
+        ("permeability",),
+        gaps=True,
+    ),
+    "permeability_anisotropy": Quantity(
+        "1", (), "largest over smallest principal permeability", ("permeability",), gaps=True
+    ),
+}
+
+# Variables of an ensemble: along all axes but that of the seed, over the cases that are good.
+ENSEMBLE: dict[str, Quantity] = {
+    "permeability_mean": Quantity(
+        "m2", ("row", "column"), "mean permeability of the ensemble", ("permeability",)
+    ),
+    "permeability_error": Quantity(
+        "m2",
+        ("row", "column"),
+        "standard error of that mean: the spread over the root of the number of members",
+        ("permeability",),
+        comment="no value of fewer than two members",
+    ),
+    "ensemble_members": Quantity(
+        "1", (), "members of the ensemble that have a permeability", ("permeability",)
+    ),
+}
+
 # Variables that the sweep adds to each case.
 SWEEP: dict[str, Quantity] = {
     "compute_time": Quantity("s", (), "time spent in the stages that this case caused to run"),

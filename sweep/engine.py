@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from demflow.sweep.dataset.verdict import Verdict
     from demflow.sweep.execution.ledger import Executed
 
-COLLECTOR = 5  # raise it whenever the dataset made of the same products changes
+COLLECTOR = 6  # raise it whenever the dataset made of the same products changes
 ROUNDS = 4  # times that damaged products are found and computed again before giving up
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
 import xarray as xr
+
+from demflow.sweep.dataset.permeability import principal
 
 
 def principal_permeability(tensor: xr.DataArray) -> xr.Dataset:
@@ -17,15 +18,9 @@ def principal_permeability(tensor: xr.DataArray) -> xr.Dataset:
 
     The tensor's symmetric part is taken; the skew part does no work.
     """
-    kxx = tensor.isel(row=0, column=0, drop=True)
-    kyy = tensor.isel(row=1, column=1, drop=True)
-    kxy = 0.5 * (tensor.isel(row=0, column=1, drop=True) + tensor.isel(row=1, column=0, drop=True))
-    mean, half = 0.5 * (kxx + kyy), 0.5 * (kxx - kyy)
-    radius = (half**2 + kxy**2) ** 0.5
-    largest = mean + radius
-    # not mean − radius, which cancels where one direction hardly conducts
-    smallest = (kxx * kyy - kxy**2) / largest
-    direction = xr.apply_ufunc(np.degrees, 0.5 * xr.apply_ufunc(np.arctan2, kxy, half))
+    found = principal(tensor.transpose(..., "row", "column").values)
+    outer = tensor.isel(row=0, column=0, drop=True)
+    largest, smallest, direction, anisotropy = (outer.copy(data=one) for one in found.values())
     unit = tensor.attrs.get("units", "m2")
     return xr.Dataset(
         {
@@ -34,7 +29,7 @@ def principal_permeability(tensor: xr.DataArray) -> xr.Dataset:
             "direction": direction.assign_attrs(
                 units="degree", long_name="direction of the largest permeability"
             ),
-            "anisotropy": (largest / smallest).assign_attrs(
+            "anisotropy": anisotropy.assign_attrs(
                 units="1", long_name="largest over smallest permeability"
             ),
         }

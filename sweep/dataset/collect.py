@@ -66,6 +66,7 @@ def collect(
                     writer.add(case, source.result(case))
                 writer.end_case(case, verdicts[case], source.spent(case))
             writer.flush()
+        writer.summarise()
         writer.describe(plan, digest, source.origins)
         return not source.damaged
 

@@ -12,8 +12,17 @@ import netCDF4
 import numpy as np
 
 from demflow.model.outcome import Status
-from demflow.model.quantities import CASE, COORDINATES, STOPPED, SWEEP, Quantity
+from demflow.model.quantities import (
+    CASE,
+    COORDINATES,
+    ENSEMBLE,
+    PRINCIPAL,
+    STOPPED,
+    SWEEP,
+    Quantity,
+)
 from demflow.sweep.dataset.labels import CONVENTIONS, FIXED, Labels, Layout, quantity_attributes
+from demflow.sweep.dataset.permeability import members_of, principal
 from demflow.sweep.dataset.ragged import Ragged, ragged_dimension
 from demflow.sweep.dataset.tiles import Tile
 from demflow.sweep.dataset.verdict import Verdict
@@ -126,6 +135,22 @@ class Writer:
         self.file["status"][(*at, ...)] = self.status.reshape(shape)
         self.ragged.flush(self.tile)
 
+    def summarise(self) -> None:
+        """Write what all cases together say of the permeability, once they are written."""
+        if "permeability" not in self.file.variables:
+            return
+        tensor = np.ma.filled(self.file["permeability"][...], math.nan)
+        for name, values in principal(tensor).items():
+            self._variable(name, PRINCIPAL[name])[...] = values
+        for number, axis in enumerate(self.study.axes):
+            if len(axis.parameters) == 1 and axis.parameters[0].endswith(".seed"):
+                along = tuple(name for name in self.axes if name != axis.name)
+                for name, values in members_of(tensor, number).items():
+                    variable = self._variable(name, ENSEMBLE[name], along)
+                    variable.setncattr("ensemble", axis.name)
+                    variable[...] = values
+                return
+
     def describe(self, plan: Plan, digest: str, origins: Mapping[str, set[str]]) -> None:
         """Write what the dataset is, where it comes from, and what made it.
 
@@ -162,16 +187,20 @@ class Writer:
         }
         self.file.setncatts(attributes)
 
-    def _variable(self, name: str, quantity: Quantity) -> netCDF4.Variable[Any]:
-        """The variable of a quantity, made when it is first needed."""
+    def _variable(
+        self, name: str, quantity: Quantity, axes: tuple[str, ...] | None = None
+    ) -> netCDF4.Variable[Any]:
+        """The variable of a quantity, made when it is first needed, by default along all axes."""
+        axes = self.axes if axes is None else axes
         if name in self.file.variables:
             found: netCDF4.Variable[Any] = self.file[name]
             return found
         dimensions = tuple(d for d in quantity.dimensions if self._dimension(d))
         kind, fill = (TEXT, False) if quantity.text else ("f8", math.nan)
-        variable = self.file.createVariable(name, kind, (*self.axes, *dimensions), fill_value=fill)
+        variable = self.file.createVariable(name, kind, (*axes, *dimensions), fill_value=fill)
         variable.setncatts(quantity_attributes(quantity))
-        beside = [name for axis in self.study.axes for name in _beside(coordinates(axis))]
+        along = [axis for axis in self.study.axes if axis.name in axes]
+        beside = [name for axis in along for name in _beside(coordinates(axis))]
         beside += ["probe_x", "probe_y"] if "probe" in dimensions else []
         if beside:
             variable.setncattr("coordinates", " ".join(beside))

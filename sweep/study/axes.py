@@ -39,7 +39,10 @@ SOURCES = ("values", "file", "distribution")  # of points, instead of evenly spa
 # names that the dataset uses itself
 RESERVED = frozenset(
     name
-    for table in (quantities.CASE, quantities.SWEEP, quantities.COORDINATES)
+    for table in (
+        *(quantities.CASE, quantities.PRINCIPAL, quantities.ENSEMBLE),
+        *(quantities.SWEEP, quantities.COORDINATES),
+    )
     for key, quantity in table.items()
     for name in (key, *quantity.dimensions)
 ) | {"status", "message", "event_count", "domain", "pipe", "grain", "contact", "crack"}
