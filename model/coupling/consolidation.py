@@ -89,7 +89,7 @@ def consolidate(
 
     Raises `ModelError` where the rock is loose, or the solver cannot answer.
     """
-    _check_walls(packing, region)
+    check_walls(packing, region)
     box = packing.box
     region = Rectangle(float(box[1] - box[0]), float(box[3] - box[2]))
     frame = frame_of(
@@ -102,7 +102,7 @@ def consolidate(
         bulk_modulus=bulk_modulus,
         wells=wells,
         sides=sides,
-        at_side=_held_pores(packing, network, sides),
+        at_side=held_pores(packing, network, sides),
     )
     if initial == "gradient":
         system = with_linear_fields(system, network, apertures, wells)
@@ -143,7 +143,7 @@ def consolidate(
     )  # fmt: skip
 
 
-def _check_walls(packing: Packing, region: Region) -> None:
+def check_walls(packing: Packing, region: Region) -> None:
     """Raise where the walls do not stand at the sides of the region."""
     (west, east, south, north), (left, right, bottom, top) = packing.box, bounding_box(region)
     size, wanted = np.array([east - west, north - south]), np.array([right - left, top - bottom])
@@ -168,7 +168,7 @@ def lags(
     return np.unique(lag[lag >= 0.0])
 
 
-def _held_pores(packing: Packing, network: Network, sides: tuple[str, ...]) -> Array:
+def held_pores(packing: Packing, network: Network, sides: tuple[str, ...]) -> Array:
     """The side that holds the pressure of each pore, (d,), −1 none: those that reach its wall."""
     at_side = np.full(len(network.x), -1)
     walls = pores_of(packing, network).walls

@@ -39,6 +39,7 @@ class Frame(NamedTuple):
 
     unit: float  # m: the mean radius
     grain_count: int  # n
+    radius: Array  # (n,) m
     free: Array  # (m,) entries of the place (3 n + 4,) that move, see `duality.Pores`
     stiffness: csc_array  # (m, m) K
     between: csc_array  # (m, m) the same without walls
@@ -114,6 +115,7 @@ def frame_of(
     return Frame(
         unit=float(packing.radius.mean()),
         grain_count=n,
+        radius=packing.radius,
         free=free,
         stiffness=stiffness,
         between=csc_array(between[rows][:, rows]),

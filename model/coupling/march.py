@@ -29,13 +29,17 @@ SAFETY = 0.8
 MOST_STEPS = 20_000
 
 
-class _Stepper:
+class Stepper:
     """One matrix B + ½ γ Δt G at a time, factored on the order of the first."""
 
     def __init__(self, rock: Rock) -> None:
         self.rock = rock
         self.made, self._shift = 0, math.nan
         self._factor: Quasidefinite | None = None
+
+    def take(self, rock: Rock) -> None:
+        """Go on with other conductances."""
+        self.rock, self._shift = rock, math.nan
 
     def solve(self, step: float, stored: Array) -> tuple[Array, Array]:
         """Pressures and displacements of (B + ½ γ Δt G) p = `stored`."""
@@ -74,7 +78,7 @@ def march(
     p, u = np.zeros(n), np.zeros(m)
     if jump.any():
         p, u = rock.solve_both(rock.factor(math.inf), math.inf, jump)
-    stepper = _Stepper(rock)
+    stepper = Stepper(rock)
     stored = rock.stored(p, u)
     into = np.zeros(record.inflow.shape[0])  # ∫ of what pipes let in by pressures
     step = BEFORE_FIRST * times[0]
@@ -109,7 +113,7 @@ def march(
         then.append(into + step * (let[0] + let[1]) / (2.0 * (2.0 - GAMMA)) + half * let[2])
         while at < len(lag) and lag[at] <= now + step * (1.0 + 1e-12):
             z = (lag[at] - now) / step
-            part, slope = _between(z)
+            part, slope = between(z)
             here = part[0] * p + part[1] * middle + part[2] * after
             place = part[0] * u + part[1] * middle_u + part[2] * after_u
             speed = (slope[0] * u + slope[1] * middle_u + slope[2] * after_u) / step
@@ -136,7 +140,7 @@ def march(
     )
 
 
-def _between(z: float) -> tuple[Array, Array]:
+def between(z: float) -> tuple[Array, Array]:
     """Parts of the start, the middle (at γ) and the end of a step at its part z, by a parabola.
 
     Then their derivatives by z.

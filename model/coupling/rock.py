@@ -122,10 +122,6 @@ def rock_of(
     pore = np.arange(len(network.x))
     node, source = system.node_of_domain[pore], system.source_of_domain[pore]
     scale = modulus / frame.unit**2
-    i, j, g = system.edge_i, system.edge_j, system.edge_g * scale
-    diagonal = np.bincount(i, g, system.n) + np.bincount(j, g, system.n) + system.excess * scale
-    whole = np.arange(system.n)
-    entries = (np.concatenate([-g, -g, diagonal]), (np.r_[i, j, whole], np.r_[j, i, whole]))
     return Rock(
         frame=frame,
         system=system,
@@ -133,8 +129,17 @@ def rock_of(
         squeeze=csr_array(gradient @ _joins(node, system.n)),
         held=csr_array(gradient @ _joins(source, system.fixed_count)),
         storage=np.maximum(system.storage, LEAST_STORAGE * system.storage.mean()) * scale,
-        conductance=coo_array(entries, shape=(system.n, system.n)).tocsc(),
+        conductance=conductances(system, scale),
     )
+
+
+def conductances(system: System, scale: float) -> csc_array:
+    """G (n, n) of a flow equation, times a scale."""
+    i, j, g = system.edge_i, system.edge_j, system.edge_g * scale
+    diagonal = np.bincount(i, g, system.n) + np.bincount(j, g, system.n) + system.excess * scale
+    whole = np.arange(system.n)
+    entries = (np.concatenate([-g, -g, diagonal]), (np.r_[i, j, whole], np.r_[j, i, whole]))
+    return coo_array(entries, shape=(system.n, system.n)).tocsc()
 
 
 def _joins(column: Array, count: int) -> csr_array:

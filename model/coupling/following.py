@@ -1,0 +1,459 @@
+"""Apertures that follow the forces on them while fluid moves: a march through the nonlinear rock.
+
+Bonds hold and the frame stays linear, K u = A p + f, but the conductances G(u) are those of the
+contact forces at the time. A step of TR-BDF2 (`march`) takes them at its middle, to which u is
+extrapolated from the step before: as accurate as iterating, and of second order. What they turn
+out to be in the middle belongs to the error of the step; where it counts, the step is taken once
+more with that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from demflow.model.coupling.consolidation import check_walls, held_pores
+from demflow.model.coupling.frame import frame_of
+from demflow.model.coupling.march import ERROR, GAMMA, LADDER, SAFETY, Stepper, between
+from demflow.model.coupling.record import Record, record_of
+from demflow.model.coupling.rock import Rock, conductances, rock_of
+from demflow.model.flow.equation.outputs import outputs
+from demflow.model.flow.equation.probes import between_pores
+from demflow.model.flow.equation.sites import WellSite, change_times
+from demflow.model.flow.equation.system import System, assemble
+from demflow.model.network.apertures import open_pipes
+from demflow.model.outcome import ModelError
+from demflow.model.products import (
+    Apertures,
+    Array,
+    Network,
+    Packing,
+    Permeability,
+    StressState,
+    Walk,
+)
+from demflow.model.region import Rectangle, Region
+from demflow.model.scene import Bonds, Fracture, Matrix, Probe
+from demflow.model.threads import one_blas_thread
+
+FIRST_STEP = 1e-3  # of the time to the first output or change
+MOST_STEPS = 5_000
+MOST_TRIES = 30  # of one step
+AGAIN = 2  # times that a step is taken with the conductances that it led to
+
+Schedule = tuple[tuple[float, float], ...]
+
+
+class Followed(NamedTuple):
+    """What a rock did at t times whose apertures followed its forces; fields as in `History`."""
+
+    well_pressure: Array  # (w, t) Pa
+    well_rate: Array  # (w, t) m³/s
+    boundary_flow: Array  # (b, t) m³/s
+    probe_pressure: Array  # (p, t) Pa
+    probe_place: Array  # (p, 2) m
+    change_times: Array  # (c,) s
+    pressure_at_changes: Array  # (w, c) Pa
+    stored: Array  # (t,) m³
+    let_in: Array  # (t, k) m³
+    produced: Array  # (t,) m³
+    moved: Array  # (t,) m³
+    wall: Array  # (4, t) m
+    stress: Array  # (3, t) Pa, change of the mean effective stress
+    pressure: Array  # (t, m) Pa, of pores and nodes of traces; m = 0 where no map is asked for
+    aperture: Array  # (p,) m, of the pipes at the last time
+    kept_conductance: Array  # (t,) mean of the conductances of pipes over those at the start
+    error: Array  # () largest estimated error of a step, over the largest pressure change
+    steps: Array  # ()
+    factors: Array  # ()
+
+
+class Forcing(NamedTuple):
+    """What acts on a rock: pressures that are kept, and rates and loads in time."""
+
+    kept: Array  # (fixed,) Pa over the initial pressure
+    rates: tuple[Schedule, ...]  # of each well at a rate, m³/s
+    loads: tuple[Schedule, ...]  # on the right and the top wall, Pa
+
+    @property
+    def changes(self) -> Array:
+        """Times at which rates or loads change, from zero on, s."""
+        times = {0.0} | {t for one in (*self.rates, *self.loads) for t, _ in one}
+        return np.array(sorted(times))
+
+
+def now(schedule: Schedule, time: float) -> float:
+    """What a schedule has reached right after a time."""
+    return next((value for start, value in reversed(schedule) if start <= time), 0.0)
+
+
+class Moving:
+    """The rock about a displacement: its apertures by the forces there, and its flow equation."""
+
+    def __init__(
+        self,
+        rock: Rock,
+        base: StressState,
+        opened: Callable[[StressState], Apertures],
+        assembled: Callable[[Apertures], System],
+    ) -> None:
+        self.rock, self.base, self.opened, self.assembled = rock, base, opened, assembled
+        frame, n = rock.frame, len(base.x)
+        known = base.contact_a * n + base.contact_b
+        key = frame.contacts.a * n + frame.contacts.b
+        place = np.minimum(np.searchsorted(known, key), len(known) - 1)
+        ours = known[place] == key
+        self._contact, self._a, self._b = (
+            place[ours],
+            frame.contacts.a[ours],
+            frame.contacts.b[ours],
+        )
+        self._normal, self._shear = (k[ours] * rock.modulus for k in frame.springs)
+        self._radius = frame.radius
+
+    def stress(self, moved: Array) -> StressState:
+        """The grains and their forces after displacements (m,) in units of the rock."""
+        base, frame = self.base, self.rock.frame
+        place = np.zeros(3 * frame.grain_count + 4)
+        place[frame.free] = frame.unit * moved
+        x, y, turn = place[:-4:3], place[1:-4:3], place[2:-4:3] / frame.unit
+        a, b = self._a, self._b
+        normal = np.array([base.x[b] - base.x[a], base.y[b] - base.y[a]])
+        distance = np.hypot(*normal)
+        normal /= distance
+        step = np.array([x[b] - x[a], y[b] - y[a]])
+        part = np.sum(step * normal, axis=0)
+        radius = self._radius
+        middle = 0.5 * (radius[a] + radius[b] - distance)
+        slid = normal[0] * step[1] - normal[1] * step[0]
+        slid -= turn[a] * (radius[a] - middle) + turn[b] * (radius[b] - middle)
+        force, shear = base.normal_force.copy(), base.shear_force.copy()
+        force[self._contact] -= self._normal * part
+        shear[self._contact] -= self._shear * slid
+        return base._replace(
+            x=base.x + x, y=base.y + y, box=base.box + place[-4:], normal_force=force,
+            shear_force=shear,
+        )  # fmt: skip
+
+    def at(self, moved: Array) -> tuple[Rock, Apertures]:
+        """The rock with the conductances about a displacement."""
+        apertures = self.opened(self.stress(moved))
+        system = self.assembled(apertures)
+        flow = conductances(system, self.rock.modulus / self.rock.size)
+        return self.rock._replace(system=system, conductance=flow), apertures
+
+
+def follow(
+    packing: Packing,
+    network: Network,
+    walked: Walk | None,
+    stress: StressState,
+    unit_permeability: Permeability | None,
+    *,
+    region: Region,
+    matrix: Matrix,
+    fractures: tuple[Fracture, ...],
+    viscosity: float,
+    normal_stiffness: float,
+    stiffness_ratio: float,
+    friction: float,
+    bonds: Bonds | None,
+    held: tuple[str, ...],
+    bulk_modulus: float,
+    wells: tuple[WellSite, ...],
+    sides: tuple[str, ...],
+    initial: float,
+    kept: tuple[float, ...],
+    rates: tuple[Schedule, ...],
+    loads: tuple[Schedule, ...],
+    probes: tuple[Probe, ...],
+    times: tuple[float, ...],
+    tolerance: float,
+    record_map: bool,
+) -> Followed:
+    """March a rock whose apertures follow its forces (the stage *follow*).
+
+    Parameters
+    ----------
+    packing, network : grains between walls, and all their pores.
+    walked, stress, unit_permeability, region, matrix, fractures, viscosity : as for
+        `network.apertures.open_pipes`; forces count from the stress.
+    normal_stiffness, stiffness_ratio, friction, bonds, held : as for `consolidate`.
+    bulk_modulus : K_f of the fluid, Pa.
+    wells, sides : where they are.
+    initial : pressure at the start, at which the stress is effective, Pa.
+    kept : pressures of the sides, then of the wells that keep one, Pa.
+    rates : changes of each well at a rate (s, m³/s).
+    loads : changes of the stress on the right and on the top wall (s, Pa).
+    probes, times, record_map : what is recorded, and when (s).
+    tolerance : of the error of a step, over the largest change of pressure so far.
+
+    Raises `ModelError` where the rock is loose, or a step cannot be found.
+    """
+    check_walls(packing, region)
+    box = packing.box
+    walls = Rectangle(float(box[1] - box[0]), float(box[3] - box[2]))
+    frame = frame_of(
+        packing, stiffness_ratio=stiffness_ratio, friction=friction, bonds=bonds, held=held
+    )
+    at_side = held_pores(packing, network, sides)
+
+    def opened(state: StressState) -> Apertures:
+        return open_pipes(
+            network, walked, state, unit_permeability, region=region, matrix=matrix,
+            fractures=fractures, viscosity=viscosity,
+        )  # fmt: skip
+
+    def assembled(apertures: Apertures) -> System:
+        return assemble(
+            network, apertures, region=walls, bulk_modulus=bulk_modulus, wells=wells, sides=sides,
+            at_side=at_side,
+        )  # fmt: skip
+
+    start = opened(stress)
+    system = assembled(start)
+    points = np.array([p.at for p in probes]).reshape(-1, 2)
+    probed = between_pores(network, start, walls, system, points)
+    rock = rock_of(packing, network, frame, system, normal_stiffness)
+    record = record_of(rock, packing, outputs(system, probed))
+    forcing = Forcing(np.array(kept, dtype=float) - initial, rates, loads)
+    moving = Moving(rock, stress, opened, assembled)
+    with one_blas_thread():
+        found = _Run(
+            moving, record, forcing, (walls.height, walls.width), np.array(times), tolerance,
+            record_map=record_map,
+        )  # fmt: skip
+        found.go()
+    fixed, at_rate = system.fixed_count, len(system.rate_wells)
+    held_wells = system.pressure_wells
+    pressure = np.empty((len(wells), len(times)))
+    rate = np.empty_like(pressure)
+    changes = change_times(wells)
+    before = np.empty((len(wells), len(changes)))
+    place = {k: n for n, k in enumerate(system.rate_wells)}
+    for k in range(len(wells)):
+        if k in place:
+            pressure[k] = initial + found.output[:, place[k]]
+            rate[k] = [now_before(rates[place[k]], t) for t in times]
+            before[k] = initial + np.array([found.before[t][place[k]] for t in changes])
+        else:
+            number = len(sides) + held_wells.index(k)
+            pressure[k] = before[k] = kept[number]
+            rate[k] = -found.flow[:, number]
+    nodes = np.append(np.arange(len(network.x)), len(network.x) + np.arange(len(start.node_x)))
+    maps = np.full((len(times), len(nodes) if record_map else 0), initial)
+    if record_map:
+        node, source = system.node_of_domain[nodes], system.source_of_domain[nodes]
+        maps[:, node >= 0] += found.pressure[:, node[node >= 0]]
+        maps[:, source >= 0] += forcing.kept[source[source >= 0]]
+    produced = np.array([sum(_volume(one, t) for one in rates) for t in times])
+    throughput = np.array([sum(_volume(one, t, size=True) for one in rates) for t in times])
+    o = record.flow_outputs
+    return Followed(
+        well_pressure=pressure,
+        well_rate=rate,
+        boundary_flow=found.flow[:, : len(sides)].T,
+        probe_pressure=initial + found.output[:, at_rate + fixed : o].T,
+        probe_place=probed.place,
+        change_times=changes,
+        pressure_at_changes=before,
+        stored=found.stored,
+        let_in=found.let_in,
+        produced=produced,
+        moved=np.abs(found.let_in).sum(axis=1) + np.abs(found.stored) + throughput,
+        wall=found.output[:, o : o + 4].T,
+        stress=found.output[:, o + 4 :].T,
+        pressure=maps,
+        aperture=moving.at(found.u + found.by_force)[1].aperture,
+        kept_conductance=found.kept,
+        error=np.asarray(found.error),
+        steps=np.asarray(found.steps),
+        factors=np.asarray(found.stepper.made),
+    )
+
+
+def now_before(schedule: Schedule, time: float) -> float:
+    """What a schedule had reached right before a time."""
+    return next((value for start, value in reversed(schedule) if start < time), 0.0)
+
+
+def _volume(schedule: Schedule, time: float, *, size: bool = False) -> float:
+    """Volume that a well has produced, m³; or all of it without signs."""
+    ends = [*(t for t, _ in schedule[1:]), math.inf]
+    spans = [max(min(end, time) - t, 0.0) for (t, _), end in zip(schedule, ends, strict=True)]
+    rates = [abs(q) if size else q for _, q in schedule]
+    return float(np.dot(rates, spans))
+
+
+class _Taken(NamedTuple):
+    p: Array  # (3, n) at the start, the middle and the end of a step
+    u: Array  # (3, m)
+    lost: Array  # (n,) local error in stored volume
+
+
+class _Run:
+    """A march: where it stands, and what was recorded of it at its times."""
+
+    def __init__(
+        self,
+        moving: Moving,
+        record: Record,
+        forcing: Forcing,
+        lengths: tuple[float, float],
+        times: Array,
+        tolerance: float,
+        *,
+        record_map: bool,
+    ) -> None:
+        self.moving, self.record, self.forcing = moving, record, forcing
+        self.lengths, self.times, self.tolerance = lengths, times, tolerance
+        rock = moving.rock
+        n, m, fixed = rock.system.n, len(rock.frame.free), rock.system.fixed_count
+        count = len(times)
+        self.output = np.zeros((count, record.pressure.shape[0]))
+        self.flow, self.let_in = np.zeros((count, fixed)), np.zeros((count, fixed))
+        self.stored, self.kept = np.zeros(count), np.ones(count)
+        self.pressure = np.zeros((count, n if record_map else 0))
+        self.before: dict[float, Array] = {}
+        self.p, self.u = np.zeros(n), np.zeros(m)  # u = K⁻¹ A p
+        self.force, self.by_force = np.zeros(m), np.zeros(m)  # f and K⁻¹ f
+        self.into, self.rate, self.drawn = np.zeros(fixed), np.zeros(m), np.zeros(0)
+        self.largest, self.error, self.steps, self.at = 0.0, 0.0, 0, 0
+        self.rock, self.apertures = moving.at(self.u)
+        self.start = self.apertures.conductance.sum()
+        self.stepper = Stepper(self.rock)
+
+    def go(self) -> None:
+        """From one change of rates and loads to the next, to the last time."""
+        changes = [t for t in self.forcing.changes if t < self.times[-1]]
+        for begin, end in zip(changes, [*changes[1:], self.times[-1]], strict=True):
+            self._change(begin)
+            time = begin
+            step = FIRST_STEP * (min(float(self.times[self.at]), end) - begin)
+            while time < end and self.at < len(self.times):
+                taken, step, wish = self._find(time, min(step, end - time))
+                self._keep(taken, time, step)
+                time = end if time + step >= end * (1.0 - 1e-12) else time + step
+                step *= wish
+
+    def _change(self, time: float) -> None:
+        """Put on what acts from a time on; the fluid bears at once what the frame does not."""
+        rock, frame = self.moving.rock, self.moving.rock.frame
+        record = self.record
+        self.before[time] = record.pressure @ self.p + record.place @ (self.u + self.by_force)
+        wanted = rock.held @ self.forcing.kept / rock.modulus
+        for schedule, wall, length in zip(
+            self.forcing.loads, ("right", "top"), self.lengths, strict=True
+        ):
+            wanted = wanted + now(schedule, time) * rock.unit_load(wall, length).force
+        if np.any(wanted != self.force):
+            jump = frame.moved(wanted - self.force)
+            pushed = -(rock.squeeze.T @ jump)
+            dp, du = rock.solve_both(rock.factor(math.inf), math.inf, pushed)
+            self.p, self.u = self.p + dp, self.u + du
+            self.by_force, self.force = self.by_force + jump, wanted
+            self.largest = max(self.largest, float(np.abs(self.p).max()))
+        self.drawn = np.array([now(one, time) for one in self.forcing.rates]) / rock.size
+        self.rate[:] = 0.0
+
+    def _source(self, system: System) -> Array:
+        """What flows in where pressures are zero, (n,)."""
+        kept = self.forcing.kept[system.fixed_source] / self.moving.rock.size
+        flows = np.bincount(system.fixed_node, system.fixed_g * kept, system.n)
+        flows[system.well_node] -= self.drawn
+        return np.asarray(flows)
+
+    def _find(self, time: float, step: float) -> tuple[_Taken, float, float]:
+        """The next step, its length that keeps the tolerance, and how much longer the next is."""
+        ahead = True
+        for tries in range(MOST_TRIES):
+            if ahead:
+                guess = self.u + self.by_force + 0.5 * step * self.rate
+                self.rock, self.apertures = self.moving.at(guess)
+            self.stepper.take(self.rock)
+            source = self._source(self.rock.system)
+            taken = _step(self.stepper, self.rock, source, self.p, self.u, step)
+            actual = self.moving.at(self.by_force + 0.5 * (self.u + taken.u[2]))
+            mean = 0.5 * (self.p + taken.p[2])
+            off = self._source(actual[0].system) - actual[0].conductance @ mean
+            off -= source - self.rock.conductance @ mean
+            whole, by_flow = (
+                float(np.abs(self.stepper.solve(step, lost)[0]).max())
+                for lost in (taken.lost + step * off, step * off)
+            )
+            size = max(self.largest, float(np.abs(taken.p[2]).max()))
+            error = whole / size if size > 0.0 else 0.0
+            self.steps += 1
+            if not math.isfinite(error) or self.steps > MOST_STEPS:
+                raise ModelError(
+                    f"the march with apertures that follow forces came to {time:.3g} s in "
+                    f"{self.steps} steps; raise solver.tolerance, or look at half_force"
+                )
+            if error <= self.tolerance:
+                self.error, self.largest = max(self.error, error), size
+                wish = SAFETY * (self.tolerance / max(error, 1e-300)) ** (1.0 / 3.0)
+                return taken, step, LADDER if wish >= LADDER else 1.0
+            ahead = by_flow < 0.5 * whole or tries % (AGAIN + 1) == AGAIN
+            if ahead:
+                step /= LADDER
+            else:
+                self.rock, self.apertures = actual
+        raise ModelError(
+            f"no step was found at {time:.3g} s that keeps an error of {self.tolerance:g}; raise "
+            "solver.tolerance"
+        )
+
+    def _keep(self, taken: _Taken, time: float, step: float) -> None:
+        """Record the times within a step, and stand at its end."""
+        rock, record, kept = self.rock, self.record, self.forcing.kept
+        by_pressure, by_place = record.volume
+        held = rock.size * rock.held
+        let = np.array([_let_in(rock.system, kept, q * rock.modulus) for q in taken.p])
+        half = 0.5 * GAMMA * step
+        then = [self.into, self.into + half * (let[0] + let[1])]
+        then.append(self.into + step * (let[0] + let[1]) / (2.0 * (2.0 - GAMMA)) + half * let[2])
+        while self.at < len(self.times) and self.times[self.at] <= (time + step) * (1.0 + 1e-12):
+            k = self.at
+            part, slope = between((self.times[k] - time) / step)
+            here, place = part @ taken.p, part @ taken.u + self.by_force
+            self.output[k] = record.pressure @ here + record.place @ place
+            self.flow[k] = _let_in(rock.system, kept, here * rock.modulus)
+            self.flow[k] += held.T @ (slope @ taken.u) / step
+            self.let_in[k] = part @ np.array(then) + held.T @ place
+            self.stored[k] = by_pressure @ here + by_place @ place
+            self.kept[k] = self.apertures.conductance.sum() / self.start
+            if self.pressure.size:
+                self.pressure[k] = rock.modulus * here
+            self.at += 1
+        self.rate = (taken.u[2] - self.u) / step
+        self.p, self.u, self.into = taken.p[2], taken.u[2], then[2]
+
+
+def _step(stepper: Stepper, rock: Rock, source: Array, p: Array, u: Array, step: float) -> _Taken:
+    """One step of TR-BDF2 with the conductances of the rock."""
+    half = 0.5 * GAMMA * step
+    stored = rock.stored(p, u)
+    flow = source - rock.conductance @ p
+    middle, middle_u = stepper.solve(step, stored + half * (flow + source))
+    middle_flow = source - rock.conductance @ middle
+    mixed = rock.stored(middle, middle_u) - (1.0 - GAMMA) ** 2 * stored
+    after, after_u = stepper.solve(step, mixed / (GAMMA * (2.0 - GAMMA)) + half * source)
+    after_flow = source - rock.conductance @ after
+    lost = 2.0 * ERROR * step * (
+        flow / GAMMA - middle_flow / (GAMMA * (1.0 - GAMMA)) + after_flow / (1.0 - GAMMA)
+    )  # fmt: skip
+    return _Taken(np.array([p, middle, after]), np.array([u, middle_u, after_u]), lost)
+
+
+def _let_in(system: System, kept: Array, pressure: Array) -> Array:
+    """Flow through pipes from each fixed pressure, (fixed,) m³/s, at pressures (n,) Pa."""
+    fixed, source = system.fixed_count, system.fixed_source
+    flow = system.fixed_g * (kept[source] - pressure[system.fixed_node])
+    found = np.bincount(source, flow, fixed)
+    across = system.short_g * (kept[system.short_a] - kept[system.short_b])
+    np.add.at(found, system.short_a, across)
+    np.subtract.at(found, system.short_b, across)
+    return np.asarray(found)
