@@ -75,6 +75,8 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         controls = controls_of(scene)
         if fractured is not None:
             pressure = until(fractured.records.pressure, len(controls.times))
+        elif (followed := products.get("follow")) is not None:
+            pressure = followed.pressure
         else:
             coupled = products.get("consolidate")
             responses = products["flow"] if coupled is None else coupled.flow

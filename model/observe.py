@@ -10,6 +10,7 @@ from demflow.model.controls import Controls
 from demflow.model.flow.equation.local_rock import spacing_around
 from demflow.model.history import (
     History,
+    Solved,
     Volumes,
     marched,
     superposed,
@@ -40,6 +41,7 @@ from demflow.model.transient import (
 
 if TYPE_CHECKING:
     from demflow.model.coupling.consolidation import Consolidation
+    from demflow.model.coupling.following import Followed
     from demflow.model.coupling.fracture import Fracturing
 
 IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
@@ -75,11 +77,13 @@ def observe(
     moduli: Moduli | None = None,
     consolidated: Consolidation | None = None,
     fractured: Fracturing | None = None,
+    followed: Followed | None = None,
     *,
     region: Region,
     controls: Controls,
     wanted: tuple[str, ...],
     loads: tuple[tuple[tuple[float, float], ...], ...] | None = None,
+    coupled: tuple[str, str] | None = None,
 ) -> dict[str, np.ndarray]:
     """Everything that a study asks of one case, under its names in `model.quantities.CASE`.
 
@@ -95,11 +99,14 @@ def observe(
     reference : the same with far smaller errors in time
     traces : the network of the fractures
     moduli : elastic constants
-    consolidated : responses of a poroelastic rock
     fractured : a march through breaking bonds
+    consolidated : responses of a coupled rock, linear
+    followed : what one did whose apertures followed its forces
     region : where the case lies, m
     controls : rates and pressures of the case in time
     wanted : names of what is observed
+    loads : changes of the stress on walls (s, Pa) of a coupled rock
+    coupled : how fluid and rock are coupled, and why
     """
     from demflow.model.mechanics.specimen.measures import packing_quality
 
@@ -126,14 +133,14 @@ def observe(
         found["permeability"] = permeability.tensor
     if traces is not None:
         found |= _described(traces)
-    if consolidated is not None:
-        responses = consolidated.flow
-        found |= _strained(consolidated, stress, controls, loads or (), wanted)
-    if fractured is not None:
-        found |= flowed(marched(fractured, controls), traces, controls, wanted)
-        found |= _fractured(fractured, controls, wanted)
+    history, strained = _coupled(
+        consolidated, followed, fractured, stress, controls, loads or (), wanted, coupled
+    )
+    found |= strained
+    if history is not None:
+        found |= flowed(history, traces, controls, wanted)
     if responses is not None:
-        found |= flowed(superposed(responses, controls, loads), traces, controls, wanted)
+        found |= flowed(superposed(responses, controls), traces, controls, wanted)
         if reference is not None:
             flows = "boundary_flow" in wanted
             found |= superposed_error(responses, reference, controls, flows=flows)
@@ -215,6 +222,29 @@ def _chains(stress: StressState, region: Region) -> dict[str, np.ndarray]:
     }
 
 
+def _coupled(
+    consolidated: Consolidation | None,
+    followed: Followed | None,
+    fractured: Fracturing | None,
+    stress: StressState | None,
+    controls: Controls,
+    loads: tuple[tuple[tuple[float, float], ...], ...],
+    wanted: tuple[str, ...],
+    coupled: tuple[str, str] | None,
+) -> tuple[History | None, dict[str, np.ndarray]]:
+    """The flow of a coupled rock, whichever way it was found, and what its grains did."""
+    if fractured is not None:
+        return marched(fractured, controls), _fractured(fractured, controls, wanted)
+    names = ("coupling_used", "coupling_reason")
+    found = dict(zip(names, map(np.asarray, coupled), strict=True)) if coupled is not None else {}
+    if consolidated is not None:
+        found |= _strained(consolidated, stress, controls, loads, wanted)
+        return superposed(consolidated.flow, controls, loads), found
+    if followed is not None and stress is not None:
+        return _marched(followed, controls), found | _closed(followed, stress, wanted)
+    return None, found
+
+
 def _strained(
     consolidated: Consolidation,
     stress: StressState | None,
@@ -278,6 +308,47 @@ def _fractured(
         if name in wanted or name == "leaked_volume":
             found[name] = until(array, len(controls.times))
     return found
+
+
+def _closed(
+    followed: Followed, stress: StressState, wanted: tuple[str, ...]
+) -> dict[str, np.ndarray]:
+    """What a rock whose apertures followed its forces did besides its flow."""
+    found = {
+        "wall_displacement": followed.wall,
+        "effective_stress": stress.stress[:, None] + followed.stress,
+    }
+    found = {name: value for name, value in found.items() if name in wanted}
+    return found | ({"kept_conductance": followed.kept_conductance} if found else {})
+
+
+def _marched(followed: Followed, controls: Controls) -> History:
+    """The history of a rock whose apertures followed its forces."""
+    volumes = Volumes(followed.stored, followed.let_in, followed.produced, followed.moved)
+    return History(
+        times=np.asarray(controls.times),
+        well_pressure=followed.well_pressure,
+        well_rate=followed.well_rate,
+        boundary_flow=followed.boundary_flow,
+        probe_pressure=followed.probe_pressure,
+        change_times=followed.change_times,
+        pressure_at_changes=followed.pressure_at_changes,
+        volumes=volumes,
+        probe_place=followed.probe_place,
+        solved=Solved(
+            residual=followed.residual,
+            range_error=None,
+            estimated_error=followed.error,
+            tolerance_met=np.asarray(1.0),
+            isolated_domains=np.asarray(0),
+            flow_balance_error=None,
+            solver_used=np.asarray("coupled implicit"),
+            solver_reason=np.asarray(
+                f"apertures follow forces: {int(followed.steps)} steps, "
+                f"{int(followed.factors)} factors"
+            ),
+        ),
+    )
 
 
 def _described(traces: FractureNetwork) -> dict[str, np.ndarray]:

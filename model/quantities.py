@@ -120,6 +120,18 @@ CASE: dict[str, Quantity] = {
         comment="what contacts bear: forces times branches over the area; where the scene names no "
         "stress, its change since the start",
     ),
+    "kept_conductance": Quantity(
+        "1",
+        ("elapsed_time",),
+        "sum of the conductances of all pipes over that at the start",
+        ("wall_displacement", "effective_stress"),
+        transient=True,
+        comment="where apertures follow the forces on them while fluid moves",
+    ),
+    "coupling_used": Quantity("", (), "how fluid and rock were coupled", text=True),
+    "coupling_reason": Quantity(
+        "", (), "how much apertures that follow forces were expected to change", text=True
+    ),
     "lowest_pressure": Quantity(
         "Pa", (), "lowest pressure of wells, probes and sides at the recorded times"
     ),

@@ -56,6 +56,7 @@ from demflow.model.scene import (
 
 if TYPE_CHECKING:
     from demflow.model.coupling.consolidation import consolidate
+    from demflow.model.coupling.following import follow
     from demflow.model.flow.solvers.registry import flow
     from demflow.model.mechanics.loading.strength import strength
     from demflow.model.mechanics.loading.stress import load as stress
@@ -71,6 +72,7 @@ __all__ = [
     "Stage",
     "consolidate",
     "flow",
+    "follow",
     "network",
     "observe",
     "open",
@@ -247,6 +249,13 @@ def _breaking_fluid(scene: Scene) -> Any:
 def _placed(well: Well) -> Well:
     """A well without its rates."""
     return well if well.pressure is not None else replace(well, rate=0.0, schedule=None)
+
+
+def _told_coupling(scene: Scene) -> tuple[str, str] | None:
+    """How a scene whose bonds hold is coupled, and why."""
+    if not scene.coupled or scene.breaks:
+        return None
+    return scene.coupling_method, scene.reckoned.reason
 
 
 def _always(_scene: Scene) -> bool:
@@ -495,8 +504,40 @@ STAGES: tuple[Stage, ...] = (
             "record_map": lambda s: "pressure_map" in s.observe,
             "initial": lambda s: s.start,
         },
-        wanted=lambda s: s.flows and s.coupled and not s.breaks,
+        wanted=lambda s: s.flows and s.coupling_method == "linear",
         product="demflow.model.coupling.consolidation:Consolidation",
+        kept=kept_by_flow,
+        held=held_by_flow,
+    ),
+    Stage(
+        name="follow",
+        function="demflow.model.coupling.following:follow",
+        version=1,
+        parents=("pack", "network", "walk", "stress", "calibrate"),
+        reads={
+            "region": lambda s: s.region,
+            "matrix": lambda s: s.matrix,
+            "fractures": lambda s: s.fractures,
+            "viscosity": _viscosity,
+            "normal_stiffness": lambda s: s.grains.contact_stiffness,
+            "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
+            "friction": lambda s: s.grains.friction,
+            "bonds": _cement,
+            "held": lambda s: s.coupling and s.coupling.held_walls,
+            "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
+            "wells": lambda s: sites(s.wells),
+            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+            "initial": lambda s: s.uniform_pressure,
+            "kept": lambda s: controls_of(s).fixed_pressures,
+            "rates": lambda s: tuple(w.rate_changes for w in s.wells if w.pressure is None),
+            "loads": lambda s: s.loads,
+            "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
+            "times": lambda s: controls_of(s).times,
+            "tolerance": lambda s: s.solver.tolerance,
+            "record_map": lambda s: "pressure_map" in s.observe,
+        },
+        wanted=lambda s: s.flows and s.coupling_method == "apertures",
+        product="demflow.model.coupling.following:Followed",
         kept=kept_by_flow,
         held=held_by_flow,
     ),
@@ -565,13 +606,15 @@ STAGES: tuple[Stage, ...] = (
         version=11,
         parents=(
             *("pack", "stress", "strength", "network", "open"),
-            *("measure", "flow", "reference", "fractures", "moduli", "consolidate", "fracture"),
+            *("measure", "flow", "reference", "fractures", "moduli", "consolidate"),
+            *("fracture", "follow"),
         ),
         reads={
             "region": lambda s: s.rock,
             "controls": controls_of,
             "wanted": lambda s: s.observe,
             "loads": lambda s: s.loads,
+            "coupled": _told_coupling,
         },
         wanted=_always,
         product=dict,

@@ -92,11 +92,21 @@ COUPLED = Scene(
 )
 PRODUCTS = run_stages(SCENE)
 COUPLED_PRODUCTS = run_stages(COUPLED)
+FOLLOWING = dataclasses.replace(
+    COUPLED,
+    stress=Stress(1.2e7, 1e7),
+    matrix=Matrix(aperture=1e-5, half_stress=1e7),
+    coupling=Coupling(method="apertures", load_yy=1e6),
+    solver=Solver(tolerance=1e-2),
+)
+FOLLOWING_PRODUCTS = run_stages(FOLLOWING)
 SEEN = PRODUCTS["observe"]
 
 
 def made_by(stage):
     """A scene that wants a stage, and its products."""
+    if stage.name == "follow":
+        return FOLLOWING, FOLLOWING_PRODUCTS
     return (SCENE, PRODUCTS) if stage.name in PRODUCTS else (COUPLED, COUPLED_PRODUCTS)
 
 
@@ -204,6 +214,9 @@ READS = {
         "boundary",
         "initial",
     },
+    "follow": {"region", "matrix", "fractures", "joint", "viscosity", "bulk_modulus"}
+    | {"grains.modulus", "grains.friction", "grains.stiffness_ratio", "well.radius", "well.rate"}
+    | {"times", "solver", "probes", "observe", "boundary", "initial"},
     "fractures": {"region", "fractures", "joint", "viscosity", "well.radius"},
     "observe": {"region", "well.rate", "well.radius", "times", "boundary", "initial", "observe"},
 }
@@ -287,8 +300,9 @@ def test_rates_share_one_transient():
             ),
             {"pack", "network", "open", "flow", "observe"},
         ),
-        (SCENE, {stage.name for stage in ALONE} - {"consolidate"}),
+        (SCENE, {stage.name for stage in ALONE} - {"consolidate", "follow"}),
         (COUPLED, {"pack", "network", "open", "consolidate", "observe"}),
+        (FOLLOWING, {"pack", "unit_loads", "stress", "network", "open", "follow", "observe"}),
     ],
 )
 def test_only_what_a_scene_needs_is_run(scene, runs):
@@ -336,9 +350,12 @@ def test_shapes_are_those_of_the_table():
         "energy_part": 7,
     }
     rare = {name for name, quantity in CASE.items() if "event" in quantity.dimensions}
-    rare |= {STOPPED, "emulator_snapshots"}  # which only a march, and a family's member, may have
+    # which only a march, a family's member, and wells with limits may have
+    rare |= {STOPPED, "emulator_snapshots", "well_limited"}
     rare |= {name for name, quantity in CASE.items() if set(quantity.needs) & set(OF_BREAKING)}
-    assert set(SEEN) == set(CASE) - rare - set(OF_COUPLING)
+    told = {"coupling_used", "coupling_reason", "kept_conductance"}  # of coupled scenes alone
+    assert set(SEEN) == set(CASE) - rare - set(OF_COUPLING) - told
+    assert told <= set(FOLLOWING_PRODUCTS["observe"])
     coupled = COUPLED_PRODUCTS["observe"]
     assert set(OF_COUPLING) <= set(coupled) <= set(CASE) - rare
     for name, value in coupled.items():

@@ -5,7 +5,8 @@
 - `rock`: the linear poroelastic equations of a frame and its pores
 - `record`: what is recorded of it
 - `krylov`, `march`: its transients, by projection and step by step
-- `consolidation`: the stage, responses to a unit of each source
+- `following`: the stage *follow*, a march with apertures that follow the forces on them
+- `consolidation`: the stage *consolidate*, responses to a unit of each source
 - `skeleton`: contacts that slide, part and break, in small displacements
 - `matrix`, `balance`: one implicit step of rock and fluid together
 - `setting`: what a march through breaking bonds starts from

@@ -66,6 +66,7 @@ class Followed(NamedTuple):
     pressure: Array  # (t, m) Pa, of pores and nodes of traces; m = 0 where no map is asked for
     aperture: Array  # (p,) m, of the pipes at the last time
     kept_conductance: Array  # (t,) mean of the conductances of pipes over those at the start
+    residual: Array  # () of the volumes that the last pressures store, u by K's own factor
     error: Array  # () largest estimated error of a step, over the largest pressure change
     steps: Array  # ()
     factors: Array  # ()
@@ -269,6 +270,7 @@ def follow(
         pressure=maps,
         aperture=moving.at(found.u + found.by_force)[1].aperture,
         kept_conductance=found.kept,
+        residual=np.asarray(found.residual()),
         error=np.asarray(found.error),
         steps=np.asarray(found.steps),
         factors=np.asarray(found.stepper.made),
@@ -322,8 +324,8 @@ class _Run:
         self.force, self.by_force = np.zeros(m), np.zeros(m)  # f and K⁻¹ f
         self.into, self.rate, self.drawn = np.zeros(fixed), np.zeros(m), np.zeros(0)
         self.largest, self.error, self.steps, self.at = 0.0, 0.0, 0, 0
-        self.rock, self.apertures = moving.at(self.u)
-        self.start = self.apertures.conductance.sum()
+        self.rock, apertures = moving.at(self.u)
+        self.start = apertures.conductance.sum()
         self.stepper = Stepper(self.rock)
 
     def go(self) -> None:
@@ -338,6 +340,14 @@ class _Run:
                 self._keep(taken, time, step)
                 time = end if time + step >= end * (1.0 - 1e-12) else time + step
                 step *= wish
+
+    def residual(self) -> float:
+        """How far u is from K⁻¹ A p at the end, as volumes stored, relative."""
+        rock = self.rock
+        exact = rock.stored(self.p, rock.frame.moved(rock.squeeze @ self.p))
+        size = float(np.linalg.norm(exact))
+        off = float(np.linalg.norm(rock.stored(self.p, self.u) - exact))
+        return off / size if size > 0.0 else 0.0
 
     def _change(self, time: float) -> None:
         """Put on what acts from a time on; the fluid bears at once what the frame does not."""
@@ -372,13 +382,13 @@ class _Run:
         for tries in range(MOST_TRIES):
             if ahead:
                 guess = self.u + self.by_force + 0.5 * step * self.rate
-                self.rock, self.apertures = self.moving.at(guess)
+                self.rock = self.moving.at(guess)[0]
             self.stepper.take(self.rock)
             source = self._source(self.rock.system)
             taken = _step(self.stepper, self.rock, source, self.p, self.u, step)
-            actual = self.moving.at(self.by_force + 0.5 * (self.u + taken.u[2]))
+            actual = self.moving.at(self.by_force + 0.5 * (self.u + taken.u[2]))[0]
             mean = 0.5 * (self.p + taken.p[2])
-            off = self._source(actual[0].system) - actual[0].conductance @ mean
+            off = self._source(actual.system) - actual.conductance @ mean
             off -= source - self.rock.conductance @ mean
             whole, by_flow = (
                 float(np.abs(self.stepper.solve(step, lost)[0]).max())
@@ -400,7 +410,7 @@ class _Run:
             if ahead:
                 step /= LADDER
             else:
-                self.rock, self.apertures = actual
+                self.rock = actual
         raise ModelError(
             f"no step was found at {time:.3g} s that keeps an error of {self.tolerance:g}; raise "
             "solver.tolerance"
@@ -420,11 +430,12 @@ class _Run:
             part, slope = between((self.times[k] - time) / step)
             here, place = part @ taken.p, part @ taken.u + self.by_force
             self.output[k] = record.pressure @ here + record.place @ place
-            self.flow[k] = _let_in(rock.system, kept, here * rock.modulus)
+            at_time, apertures = self.moving.at(place)
+            self.flow[k] = _let_in(at_time.system, kept, here * rock.modulus)
             self.flow[k] += held.T @ (slope @ taken.u) / step
             self.let_in[k] = part @ np.array(then) + held.T @ place
             self.stored[k] = by_pressure @ here + by_place @ place
-            self.kept[k] = self.apertures.conductance.sum() / self.start
+            self.kept[k] = apertures.conductance.sum() / self.start
             if self.pressure.size:
                 self.pressure[k] = rock.modulus * here
             self.at += 1

@@ -16,7 +16,7 @@ from demflow.model.scene.case import (
     Scene,
 )
 from demflow.model.scene.closure import BartonBandis, Closure
-from demflow.model.scene.coupling import Coupling
+from demflow.model.scene.coupling import Coupling, Reckoned, one_way_ratio
 from demflow.model.scene.distributions import (
     Exponential,
     LengthPower,
@@ -102,6 +102,7 @@ __all__ = [
     "PowerLaw",
     "Probe",
     "RandomSet",
+    "Reckoned",
     "Rectangle",
     "RectangularHole",
     "Refinement",
@@ -121,5 +122,6 @@ __all__ = [
     "holes_of",
     "joint_lines",
     "lines_of",
+    "one_way_ratio",
     "refined_places",
 ]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Pierced, Region, Shape
-from demflow.model.scene.coupling import Coupling, coupling_problems
+from demflow.model.scene.coupling import Coupling, Reckoned, coupling_problems, reckoned
 from demflow.model.scene.flow import (
     Boundary,
     Fluid,
@@ -211,6 +211,27 @@ class Scene:
         return self.coupling is not None and self.coupling.method == "breaking"
 
     @property
+    def reckoned(self) -> Reckoned:
+        """What is known beforehand of apertures that follow forces; what coupling: auto takes."""
+        start = self.uniform_pressure or 0.0
+        kept = [p for _, p in self.boundaries]
+        kept += [well.pressure for well in self.wells if well.pressure is not None]
+        changes = [p - start for p in kept] if self.uniform_pressure is not None else []
+        changes += [0.5 * load for changes in self.loads or () for _, load in changes]
+        return reckoned(
+            self.region, self.grains, self.matrix, self.fluid, self.stress, tuple(changes),
+            self.wells,
+        )  # fmt: skip
+
+    @property
+    def coupling_method(self) -> str:
+        """How fluid and rock are coupled: none, linear or apertures; auto is decided."""
+        if self.coupling is None:
+            return "none"
+        method = self.coupling.method
+        return self.reckoned.method if method == "auto" else method
+
+    @property
     def loads(self) -> tuple[tuple[tuple[float, float], ...], ...] | None:
         """Changes of stress (s, Pa) on the right and on the top wall; None without coupling."""
         return self.coupling.load_changes if self.coupling is not None and self.coupled else None
@@ -305,6 +326,8 @@ class Scene:
             yield "coupling", "grains move while fluid does; give times, or leave coupling out"
         if self.solver.method == "explicit":
             yield "solver.method", "explicit solves no coupled transient; take auto, or krylov"
+        if self.coupling_method == "apertures":
+            yield from self._aperture_problems()
         if "time_error" in self.observe:
             what = "time_error is measured on rigid rock; estimated_error stands in every result"
             yield "observe", what
@@ -335,6 +358,21 @@ class Scene:
             if well.skin_factor != 0.0:
                 what = "a well that may break its rock has no skin; leave it out"
                 yield f"wells.{well.name}.skin_factor", what
+
+    def _aperture_problems(self) -> Problems:
+        """What apertures that follow forces need."""
+        if self.stress is None:
+            what = "apertures follow forces only under a stress; give one, or take linear"
+            yield "coupling.method", what
+        elif self.stress.angle != 0.0:
+            what = "apertures that follow forces take a stress along the axes; leave the angle out"
+            yield "stress.angle", what
+        if self.start != "uniform":
+            what = "a march with apertures that follow forces starts from one pressure"
+            yield "initial_pressure", what
+        if self.solver.method not in ("auto", "implicit"):
+            what = f"{self.solver.method} is for conductances that stay; take auto or implicit"
+            yield "solver.method", what
 
     def _steady_start_problems(self) -> Problems:
         """What is wrong with a start from the steady state."""

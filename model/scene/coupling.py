@@ -5,13 +5,18 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Rectangle, Region
+from demflow.model.scene.flow import Fluid, Matrix, Well
 from demflow.model.scene.fractures import Fracture
-from demflow.model.scene.rock import Bonds, Grains
+from demflow.model.scene.rock import Bonds, Grains, Stress
 
-__all__ = ["Coupling", "coupling_problems"]
+__all__ = ["Coupling", "Reckoned", "coupling_problems", "one_way_ratio", "reckoned"]
+
+# Closing over its strain at which flows with apertures as they are are off by 1 %.
+ONE_WAY = 0.007
 
 Schedule = tuple[tuple[float, float], ...]
 
@@ -26,9 +31,11 @@ class Coupling:
 
     method: str = parameter(
         default="auto",
-        choices=("auto", "none", "linear", "breaking"),
-        help="linear: grains bonded and unbroken, apertures as they are; breaking: bonds and "
-        "joints break one by one, and what parts opens; none: fluid moves alone; auto takes linear",
+        choices=("auto", "none", "linear", "apertures", "breaking"),
+        help="linear: grains bonded and unbroken, apertures as they are; apertures: these follow "
+        "the forces; breaking: bonds and joints break one by one, and what parts opens; none: "
+        "fluid moves alone; auto takes apertures where that changes flows by more than some "
+        "percent, else linear",
     )
     least_pressure: float | None = parameter(
         "Pa",
@@ -111,6 +118,74 @@ def _schedule_problems(name: str, schedule: Schedule | None) -> Problems:
         yield name, "times and stresses must be finite"
     elif starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
         yield name, "times must increase, from 0 s on"
+
+
+class Reckoned(NamedTuple):
+    """What is known beforehand of apertures that follow forces."""
+
+    method: str  # linear | apertures
+    sensitivity: float  # a = F̄ / (F̄ + F0)
+    drawdown: float  # x, the largest change of pressure and load over the mean effective stress
+    ratio: float  # of a flow to what it would be with apertures as they are
+    reason: str
+
+
+def one_way_ratio(sensitivity: float, drawdown: float) -> float:
+    """Flow with apertures that follow forces over the flow without, about.
+
+    A conductance goes as (1 + a ξ)⁻³ where pressure fell by ξ mean effective stresses, a = F̄ / (F̄ +
+    F0). Between full and least pressure, in series, (1/x) ∫₀ˣ (1 + a ξ)⁻³ dξ = (1 − (1 + a x)⁻²) /
+    (2 a x). `sensitivity` a in [0, 1), `drawdown` x ≥ 0.
+    """
+    closed = sensitivity * drawdown
+    if closed < 1e-6:
+        return 1.0 - 1.5 * closed
+    return (1.0 - (1.0 + closed) ** -2) / (2.0 * closed)
+
+
+def reckoned(
+    region: Region,
+    grains: Grains,
+    matrix: Matrix | None,
+    fluid: Fluid | None,
+    stress: Stress | None,
+    changes: tuple[float, ...],
+    wells: tuple[Well, ...],
+) -> Reckoned:
+    """What coupling: auto takes, and why; before anything is run.
+
+    `changes` are the pressures that are kept less the initial one, and the loads on walls, Pa. A
+    well at a rate q draws about q μ ln(L / r_w) / (2π k).
+    """
+    if (
+        stress is None
+        or matrix is None
+        or (matrix.half_force is None and matrix.half_stress is None)
+    ):
+        reason = "apertures follow no force: there is no stress, or no half_stress or half_force"
+        return Reckoned("linear", 0.0, 0.0, 1.0, reason)
+    effective = 0.5 * (stress.xx + stress.yy)
+    radius = grains.mean_radius or math.sqrt(0.83 * region.area / (math.pi * (grains.count or 1)))
+    half = matrix.half_stress or (matrix.half_force or 0.0) / (2.0 * radius)
+    sensitivity = effective / (effective + half)
+    permeability = matrix.permeability or (matrix.aperture or 0.0) ** 3 / (24.0 * radius)
+    permeability *= (1.0 - sensitivity) ** 3
+    drawn = max((abs(change) for change in changes), default=0.0)
+    for well in wells:
+        rate = max((abs(q) for _, q in well.rate_changes), default=0.0)
+        if rate > 0.0 and fluid is not None:
+            reach = max(math.log(math.sqrt(region.area) / well.effective_radius), 1.0)
+            least = 2.0 * math.pi * permeability
+            drawn += rate * fluid.viscosity * reach / least if least > 0.0 else math.inf
+    drawdown = min(drawn / effective, 1.0)
+    ratio = one_way_ratio(sensitivity, drawdown)
+    method = "apertures" if sensitivity * drawdown >= ONE_WAY else "linear"
+    reason = (
+        f"pressures and loads change by {drawdown:.2g} mean effective stresses, of a part "
+        f"{sensitivity:.2g} of which contacts close: with apertures as they are flows would be off "
+        f"by about {abs(1.0 / ratio - 1.0):.1%}"
+    )
+    return Reckoned(method, sensitivity, drawdown, ratio, reason)
 
 
 def coupling_problems(

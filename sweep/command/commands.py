@@ -78,6 +78,7 @@ def fit(options: argparse.Namespace) -> int:
 
 def check(options: argparse.Namespace) -> int:
     """Validate a study: every problem at once."""
+    from demflow.sweep.command.coupling import told_coupling
     from demflow.sweep.command.traces import told_closures, told_traces
     from demflow.sweep.study.load import load_study
 
@@ -93,7 +94,8 @@ def check(options: argparse.Namespace) -> int:
         return WRONG
     cases = _product(study.shape) if study.kept is None else int(study.kept.sum())
     cases = cases if study.values else 0  # without a scene nothing runs
-    summary = [*told_traces(study), *told_closures(study)] if study.values else []
+    told = (told_traces, told_closures, told_coupling)
+    summary = [line for one in told for line in one(study)] if study.values else []
     for test in study.data.values():
         summary += [
             f"data.{test.name}: {one}" for one in (_count(len(test.time), "point"), *test.notes)

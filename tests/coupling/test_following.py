@@ -1,0 +1,145 @@
+"""Apertures that follow forces: against the rule told beforehand, and against linear rock."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+
+from demflow.model.region import Rectangle
+from demflow.model.scene import (
+    Bonds,
+    Coupling,
+    Fluid,
+    Grains,
+    Matrix,
+    Probe,
+    Scene,
+    SceneError,
+    Solver,
+    Stress,
+    Well,
+    one_way_ratio,
+)
+from demflow.model.stages import run_stages, simulate
+
+STRESS, START = 1e7, 5e7
+SCENE = Scene(
+    region=Rectangle(1.0, 1.0),
+    grains=Grains(count=300, porosity=0.17, seed=1, modulus=2e10),
+    matrix=Matrix(aperture=2e-5, half_stress=STRESS),
+    fluid=Fluid(1e-3, 2.2e9),
+    bonds=Bonds(kind="parallel", tensile_strength=1e9, shear_strength=1e9),
+    stress=Stress(STRESS, STRESS),
+    boundaries=(("left", START), ("right", START - 0.3 * STRESS)),
+    initial_pressure=START,
+    coupling=Coupling(method="apertures"),
+    times=(0.1, 1.0, 1e4),
+    solver=Solver(tolerance=1e-3),
+    observe=("boundary_flow", "wall_displacement", "effective_stress"),
+)
+
+
+def changed(**fields):
+    return dataclasses.replace(SCENE, **fields)
+
+
+@pytest.mark.parametrize(("a", "x"), [(0.5, 0.1), (0.9, 1.0), (0.3, 1e-9), (0.5, 3e-6)])
+def test_the_rule_is_the_integral(a, x):
+    exact = quad(lambda s: (1.0 + a * s) ** -3, 0.0, x)[0] / x
+    assert one_way_ratio(a, x) == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("x", [0.1, 0.6])
+def test_steady_flow_falls_behind_by_the_rule(x):
+    sides = (("left", START), ("right", START - x * STRESS))
+    products = run_stages(changed(boundaries=sides))
+    found, state = products["observe"], products["stress"]
+    linear = simulate(changed(boundaries=sides, coupling=Coupling(method="linear")))
+    ratio = found["boundary_flow"][:, -1] / linear["boundary_flow"][:, -1]
+    pressed = state.normal_force[state.normal_force > 0.0].mean()
+    half = STRESS * 2.0 * products["pack"].radius.mean()
+    rule = one_way_ratio(pressed / (pressed + half), x)
+    assert ratio == pytest.approx(rule, abs=0.015)
+    # and by what is told beforehand, from the stress alone
+    assert ratio == pytest.approx(changed(boundaries=sides).reckoned.ratio, abs=0.02)
+    assert found["mass_balance_error"] <= 1e-9
+    assert 0.3 < found["kept_conductance"][-1] < 1.0
+
+
+def test_where_no_force_closes_a_pipe_it_is_the_linear_rock():
+    stiff = Matrix(aperture=2e-5, half_stress=1e15, gap_factor=0.0)
+    wells = (Well(name="w", at=(0.1, 0.0), radius=0.02, schedule=((0.0, 1e-6), (5.0, 0.0))),
+             Well(name="v", at=(-0.2, 0.2), radius=0.02, pressure=START - 1e6))  # fmt: skip
+    scene = changed(
+        matrix=stiff, wells=wells, probes=(Probe("p", (0.0, -0.2)),), times=(0.3, 3.0, 30.0),
+        coupling=Coupling(method="apertures", schedule_yy=((0.0, 1e6), (1.0, 0.0))),
+        observe=(*SCENE.observe, "well_pressure", "probe_pressure", "pressure_map"),
+        solver=Solver(tolerance=1e-4),
+    )  # fmt: skip
+    linear = dataclasses.replace(
+        scene, coupling=dataclasses.replace(scene.coupling, method="linear")
+    )
+    products, others = run_stages(scene), run_stages(linear)
+    found, other = products["observe"], others["observe"]
+    for name in ("well_pressure", "probe_pressure", "wall_displacement", "effective_stress",
+                 "boundary_flow", "well_rate", "pressure_change"):  # fmt: skip
+        wanted = other[name]
+        size = np.nanmax(np.abs(wanted - (START if name.endswith("_pressure") else 0.0)))
+        np.testing.assert_allclose(found[name], wanted, atol=5e-3 * size, err_msg=name)
+    assert found["mass_balance_error"] <= 1e-9
+    assert found["kept_conductance"] == pytest.approx(1.0, abs=1e-6)
+    assert str(found["coupling_used"]) == "apertures"
+    maps = products["follow"].pressure
+    assert maps.shape == (3, len(products["network"].x))
+    assert np.isfinite(maps).all()
+
+
+@pytest.mark.slow
+def test_smaller_steps_change_flows_to_second_order():
+    errors = []
+    scene = changed(times=(0.03, 0.1, 0.3))
+
+    def seen(tolerance):
+        found = simulate(dataclasses.replace(scene, solver=Solver(tolerance=tolerance)))
+        return [found[name] / np.abs(found[name]).max() for name in SCENE.observe[:2]]
+
+    exact = seen(1e-6)
+    for tolerance in (1e-2, 1e-4):
+        pairs = zip(seen(tolerance), exact, strict=True)
+        errors.append([np.abs(found - one).max() for found, one in pairs])
+    assert np.all(np.array(errors[0]) < 5e-3)
+    # local errors a hundred times smaller, steps shorter by its cube root
+    order = 3.0 * np.log(np.divide(*errors)) / np.log(100.0)
+    assert np.all(order > 1.6)
+
+
+def test_auto_takes_what_counts_and_says_so():
+    auto = Coupling()
+    little = changed(coupling=auto, boundaries=(("left", START), ("right", START - 1e5)))
+    much = changed(coupling=auto)
+    assert (little.coupling_method, much.coupling_method) == ("linear", "apertures")
+    assert changed(coupling=auto, matrix=Matrix(aperture=2e-5)).coupling_method == "linear"
+    producing = changed(coupling=auto, boundaries=(("left", START),),
+                        wells=(Well(name="w", at=(0.0, 0.0), radius=0.02, rate=1e-5),))  # fmt: skip
+    assert producing.coupling_method == "apertures"
+    loaded = changed(coupling=Coupling(load_yy=5e6), boundaries=(("left", START),))
+    assert loaded.coupling_method == "apertures"
+    assert much.reckoned.ratio == pytest.approx(one_way_ratio(0.5, 0.3))
+    assert "flows would be off by about 2" in much.reckoned.reason
+    assert "no half_stress" in changed(coupling=auto, matrix=Matrix(aperture=2e-5)).reckoned.reason
+
+
+@pytest.mark.parametrize(
+    ("fields", "path"),
+    [
+        ({"stress": None, "matrix": Matrix(aperture=2e-5)}, "coupling.method"),
+        ({"stress": Stress(2e7, 1e7, angle=0.3)}, "stress.angle"),
+        ({"solver": Solver(method="krylov")}, "solver.method"),
+    ],
+)
+def test_what_a_march_cannot_take_is_refused(fields, path):
+    with pytest.raises(SceneError) as caught:
+        changed(**fields)
+    assert path in [where for where, _ in caught.value.problems]
