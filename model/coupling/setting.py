@@ -182,7 +182,7 @@ def _strains(skeleton: Skeleton) -> tuple[csr_array, ...]:
     return skeleton.parting, skeleton.sliding, skeleton.bending, every
 
 
-def _fluidless(skeleton: Skeleton, load: Array) -> Case:
+def fluidless(skeleton: Skeleton, load: Array) -> Case:
     """A case without pores."""
     none, whole = np.empty(0), np.empty(0, np.int64)
     push = csr_array((len(load), 0))
@@ -204,7 +204,7 @@ def at_rest(case: Case, hold: Hold, u: Array) -> Balanced:
 
 def _loaded(skeleton: Skeleton, hold: Hold, load: Array) -> tuple[Array, Hold]:
     """The packed rock under the load of its walls."""
-    whole = _fluidless(skeleton, load)
+    whole = fluidless(skeleton, load)
     u = np.zeros(len(load))
     for parts in (1, PARTS):
         state, now = u, hold
@@ -224,7 +224,7 @@ def _loaded(skeleton: Skeleton, hold: Hold, load: Array) -> tuple[Array, Hold]:
 
 def _relaxed(skeleton: Skeleton, hold: Hold, load: Array, u: Array) -> tuple[Array, Hold]:
     """The same once its holes are made."""
-    found = at_rest(_fluidless(skeleton, load), hold, u)
+    found = at_rest(fluidless(skeleton, load), hold, u)
     if not found.reached:
         raise ModelError(
             "the rock does not bear its stresses once the wells are drilled: grains around them "
