@@ -23,6 +23,7 @@ from demflow.sweep.analysis.speed import Roles, roles_of, speed_against_error, s
 from demflow.sweep.analysis.table import Table
 from demflow.sweep.dataset.open import open_case
 from demflow.sweep.figures.comparisons import draw_linear, draw_radial
+from demflow.sweep.figures.events import draw_events
 from demflow.sweep.figures.failure import draw_failure
 from demflow.sweep.figures.holes import draw_forces, draw_inflow
 from demflow.sweep.figures.horner import draw_horner
@@ -121,6 +122,7 @@ def _draw(
             except ComparisonError as error:
                 messages.append(f"no comparison was drawn: {error}")
         drawn += _wells(dataset, scene_of, folder)
+        drawn.append(draw_events(dataset, folder / "events.png"))
         for k, index in enumerate(representative_cases(dataset)):
             if "pressure_map" in scene_of(index).observe:
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()

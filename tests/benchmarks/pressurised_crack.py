@@ -82,7 +82,8 @@ def run() -> Result:
     holds = all(error[d] <= bound for d, bound in BOUNDS.items()) and order >= ORDER
     lines = [f"2L = {d} diameters: {r:.4f} of Sneddon's" for d, r in ratio.items()]
     return Result(
-        f"opening off by {error[5]:.2%} and {error[10]:.2%} at 5 and 10 diameters, order {order:.2f}, box {BOX} · 2L",
+        f"opening off by {error[5]:.2%} and {error[10]:.2%} at 5 and 10 diameters, order "
+        f"{order:.2f}, box {BOX} · 2L",
         f"≤ {BOUNDS[5]:.1%} and {BOUNDS[10]:.1%}, order ≥ {ORDER}",
         bool(holds),
         "\n".join(lines),

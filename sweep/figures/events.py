@@ -1,0 +1,71 @@
+"""What broke: the pressure of the wells and the breaks in time, and the path of the crack."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from demflow.model.outcome import Status
+from demflow.sweep.analysis.cases import Index, axes, case_title, display, events
+from demflow.sweep.figures.style import BLUE, GREY, VERMILION, legend_text, new_figure, save
+
+MOST_CASES = 4
+HEIGHT, WIDTH, MAP = 3.0, 4.2, 3.2  # inches of a row, and of its two panels
+MODES = ((1, "tension", BLUE), (2, "shear", VERMILION))
+
+
+def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
+    """A row for each of the first cases in which something broke; None where nothing did.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    path : where the figure is written
+    """
+    if "event_count" not in dataset or "event_time" not in dataset:
+        return None
+    names = axes(dataset)
+    status, counts = dataset["status"].values, dataset["event_count"].values
+    kept = np.isin(status, (Status.DONE, Status.STOPPED)) & (counts > 0)
+    cases: list[Index] = [
+        dict(zip(names, map(int, position), strict=True)) for position in np.argwhere(kept)
+    ][:MOST_CASES]
+    if not cases:
+        return None
+    figure = new_figure(WIDTH + MAP + 0.6, HEIGHT * len(cases))
+    panels = figure.subplots(len(cases), 2, squeeze=False, width_ratios=(WIDTH, MAP))
+    for (in_time, path_of_it), index in zip(panels, cases, strict=True):
+        own = events(dataset, index)
+        factor, unit = 1.0, ""
+        if "well_pressure" in dataset:
+            time = dataset["elapsed_time"].values
+            pressure = dataset["well_pressure"].isel(index).values
+            factor, unit = display("Pa", pressure[np.isfinite(pressure)])
+            for name, one in zip(dataset["well"].values, pressure, strict=True):
+                in_time.plot(time, factor * one, ".-", label=legend_text(str(name)))
+            in_time.set(ylabel=f"well pressure ({unit})", ylim=(0.0, None))
+            in_time.legend()
+        broken = in_time.twinx()
+        at = np.sort(own["event_time"].values)
+        broken.step(np.append(0.0, at), np.arange(len(at) + 1), where="post", color=GREY)
+        broken.set(ylabel="breaks", ylim=(0.0, None))
+        broken.grid(False)
+        in_time.set(xlabel="time (s)", title=case_title(dataset, index))
+        scale, length = display("m", np.concatenate([own["event_x"].values, own["event_y"].values]))
+        for mode, word, colour in MODES:
+            which = own["event_mode"].values == mode
+            if which.any():
+                path_of_it.scatter(
+                    scale * own["event_x"].values[which],
+                    scale * own["event_y"].values[which],
+                    s=8.0,
+                    color=colour,
+                    linewidths=0.0,
+                    label=f"{np.count_nonzero(which)} in {word}",
+                )
+        path_of_it.set(xlabel=f"x ({length})", ylabel=f"y ({length})")
+        path_of_it.set_aspect("equal", adjustable="datalim")
+        path_of_it.legend()
+    return save(figure, path, "Pressure of the wells, breaks in time, and where they are")
