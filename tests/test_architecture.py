@@ -57,7 +57,7 @@ SWEEP = (
     ("sweep.dataset",),
     ("sweep.prepared",),
     ("sweep.analysis",),
-    ("sweep.figures",),
+    ("sweep.figures", "sweep.accessor"),
     ("sweep.report",),
     ("sweep.engine",),
     ("sweep.fitting",),
@@ -66,7 +66,10 @@ SWEEP = (
 HALLS = ("model", "model.mechanics", "model.flow", "sweep")  # hold rooms and nothing else
 # All that a study needs of the model: what a scene is, what is measured, how a case ended.
 CONTRACT = ("model.parameters", "model.region", "model.scene", "model.outcome", "model.quantities")
-MACHINERY = {  # rooms of the sweep that may see more of the model, and what
+MACHINERY = {
+    "sweep.accessor": (
+        "model.transient",
+    ),  # rooms of the sweep that may see more of the model, and what
     "sweep.plan": ("model.stages",),
     "sweep.execution": ("model.stages", "model.products", "model.memory", "model.compilation"),
     "sweep.dataset": ("model.maps", "model.products"),

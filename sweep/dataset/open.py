@@ -27,17 +27,21 @@ from demflow.sweep.study.load import Study, StudyError, load_study
 from demflow.sweep.study.units import UnitError, parse_quantity, to_degrees
 
 
-def open_results(folder: str | Path) -> xr.Dataset:
+def open_results(folder: str | Path, *, lazy: bool = False) -> xr.Dataset:
     """Return the dataset of a study, loaded into memory.
 
     Parameters
     ----------
     folder : `results/<study>`, or its `dataset.nc`.
+    lazy : leave the numbers on disk until they are asked for; the file then stays open until
+        `dataset.close()`.
 
     Raises ResultsError where no dataset lies there.
     """
     path = Path(folder)
     path = path / DATASET_FILE if path.is_dir() or path.suffix != ".nc" else path
+    if lazy:
+        return _without_fill_values(_open(path))
     with _opened(path) as dataset:
         return _without_fill_values(dataset.load())
 
@@ -45,11 +49,18 @@ def open_results(folder: str | Path) -> xr.Dataset:
 @contextmanager
 def _opened(path: Path) -> Iterator[xr.Dataset]:
     """The dataset at a path. Raises ResultsError where it is not there or cannot be read."""
+    try:
+        with _open(path) as dataset:
+            yield dataset
+    except OSError as error:
+        raise ResultsError(f"{path} cannot be read: {error}") from error
+
+
+def _open(path: Path) -> xr.Dataset:
     if not path.is_file():
         raise ResultsError(f"{path} does not exist; `demflow run` writes it")
     try:
-        with xr.open_dataset(path, engine="netcdf4", decode_times=False) as dataset:
-            yield dataset
+        return xr.open_dataset(path, engine="netcdf4", decode_times=False)
     except OSError as error:
         raise ResultsError(f"{path} cannot be read: {error}") from error
 

@@ -1,0 +1,160 @@
+"""`dataset.demflow`: what is made of a study's dataset, where its users look for it.
+
+dataset = sweep.open_results("results/quickstart")
+dataset.demflow.to_csv("wells.csv", "well_pressure")
+dataset.demflow.derivative(smoothing=0.3).sel(well="producer").plot()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+
+from demflow.model.outcome import Status
+from demflow.model.transient import SMOOTHING, bourdet_derivative
+from demflow.sweep.analysis.permeability import principal_permeability
+from demflow.sweep.analysis.sensitivity import sensitivity
+from demflow.sweep.dataset.open import open_results
+from demflow.sweep.errors import ResultsError
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@xr.register_dataset_accessor("demflow")  # type: ignore[no-untyped-call]
+class Results:
+    """What a study's dataset can tell. Nothing is changed in it."""
+
+    def __init__(self, dataset: xr.Dataset):
+        self._dataset = dataset
+
+    def good(self) -> xr.Dataset:
+        """Return the dataset with only the results of cases that are done; NaN for the others.
+
+        Variables that do not lie along all axes, as means of ensembles, stay as they are.
+        """
+        status = self._variable("status")
+        done = status == Status.DONE
+        kept = {
+            name: variable.where(done)
+            for name, variable in self._dataset.data_vars.items()
+            if set(status.dims) <= set(variable.dims) and variable.dtype.kind == "f"
+        }
+        return self._dataset.assign(kept)
+
+    def derivative(self, smoothing: float = SMOOTHING) -> xr.DataArray:
+        """Return Bourdet's derivative of `pressure_change` by the logarithm of elapsed time, Pa.
+
+        Parameters
+        ----------
+        smoothing : window L in natural logarithms of time.
+
+        Of wells with one rate from the start; where rates change, the dataset's own
+        `pressure_derivative` takes each flow period by itself.
+        """
+        change = self._variable("pressure_change")
+        times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
+
+        def of(values: np.ndarray) -> np.ndarray:
+            return bourdet_derivative(times, values, np.zeros(1), smoothing=smoothing)
+
+        found = xr.apply_ufunc(
+            of,
+            change,
+            input_core_dims=[["elapsed_time"]],
+            output_core_dims=[["elapsed_time"]],
+            vectorize=True,
+        )
+        return found.rename("pressure_derivative").assign_attrs(
+            units="Pa", long_name="Bourdet derivative", smoothing_window=smoothing
+        )
+
+    def permeability(self) -> xr.Dataset:
+        """Return principal permeabilities, direction and anisotropy of each case."""
+        return principal_permeability(self._variable("permeability"))
+
+    def sensitivity(self, of: str | xr.DataArray, **options: Any) -> xr.Dataset:
+        """Return how much each sampled parameter decides a result, see `sweep.sensitivity`."""
+        return sensitivity(self._dataset, of, **options)
+
+    def to_dataframe(self, names: str | Sequence[str] | None = None) -> pd.DataFrame:
+        """Return variables as a table with a row for each case and place; names carry units.
+
+        Parameters
+        ----------
+        names : variables that lie along the same dimensions; by default all that lie along the
+            axes of the study alone.
+
+        Raises ResultsError where they do not.
+        """
+        if names is None:
+            axes = self._variable("status").dims
+            chosen = [n for n, v in self._dataset.data_vars.items() if v.dims == axes]
+        else:
+            chosen = [names] if isinstance(names, str) else list(names)
+        variables = {name: self._variable(str(name)) for name in chosen}
+        shapes = {variable.dims for variable in variables.values()}
+        if len(shapes) > 1:
+            raise ResultsError(
+                "variables of one table lie along the same dimensions; these lie along "
+                + " and ".join(sorted(", ".join(map(str, one)) or "none" for one in shapes))
+            )
+        if shapes == {()}:  # one case without axes is one row
+            row = {n: [v.item()] for n, v in variables.items()}
+            import pandas as pd
+
+            table = pd.DataFrame(row)
+        else:
+            table = xr.Dataset(variables).to_dataframe().reset_index()
+        return table.rename(columns=self._named)
+
+    def to_csv(self, path: str | Path, names: str | Sequence[str] | None = None) -> Path:
+        """Write what `to_dataframe` gives as CSV, numbers in all their digits."""
+        self.to_dataframe(names).to_csv(path, index=False)
+        return Path(path)
+
+    def to_parquet(self, path: str | Path, names: str | Sequence[str] | None = None) -> Path:
+        """Write what `to_dataframe` gives as Parquet. Raises ResultsError without pyarrow."""
+        try:
+            self.to_dataframe(names).to_parquet(path, index=False)
+        except ImportError as error:
+            raise ResultsError(f"Parquet needs pyarrow: pip install pyarrow ({error})") from None
+        return Path(path)
+
+    def _variable(self, name: str) -> xr.DataArray:
+        if name not in self._dataset:
+            there = ", ".join(map(str, self._dataset.data_vars))
+            raise ResultsError(f"the dataset has no {name}; it has {there}")
+        return self._dataset[name]
+
+    def _named(self, name: str) -> str:
+        """A column's name with its unit."""
+        if name not in self._dataset.variables:
+            return name
+        unit = str(self._dataset[name].attrs.get("units", "1"))
+        return name if unit == "1" or not unit else f"{name} [{unit}]"
+
+
+def compare(*folders: str | Path, lazy: bool = False) -> xr.DataTree:
+    """Return the datasets of several studies side by side, a node for each under its name.
+
+    Parameters
+    ----------
+    folders : `results/<study>` of each.
+    lazy : leave the numbers on disk until they are asked for.
+
+    `tree.map_over_datasets(f)` does the same with all of them. Raises ResultsError where one has no
+    dataset, or two have one name.
+    """
+    found: Mapping[str, xr.Dataset] = {}
+    for folder in folders:
+        dataset = open_results(folder, lazy=lazy)
+        name = str(dataset.attrs["study"])
+        if name in found:
+            raise ResultsError(f"two of the studies are named {name}")
+        found = {**found, name: dataset}
+    return xr.DataTree.from_dict({f"/{name}": dataset for name, dataset in found.items()})
