@@ -308,6 +308,8 @@ class Scene:
         """What does not go with coupling."""
         if not self.coupled:
             return
+        if self.gravity is not None:
+            yield "gravity", "a coupled specimen has no weight; leave gravity or coupling out"
         for well in self.wells:
             if well.decides or well.pressure_schedule is not None:
                 what = "limits, groups and schedules of pressures are for wells without coupling"

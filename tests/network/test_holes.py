@@ -24,6 +24,7 @@ from demflow.model.region import (
 )
 from demflow.model.scene import (
     CircularHole,
+    Coupling,
     Fluid,
     Grains,
     Matrix,
@@ -169,6 +170,10 @@ def test_holes_that_cannot_be_are_refused_with_the_key_to_blame():
     rock = Grains(count=300, porosity=0.17, modulus=1e10)
     weight = refused(grains=rock, stress=Stress(xx=1e5, yy=1e5), gravity=9.81)
     assert "gravity: half of the rock's weight, 2.21e+05 Pa, is more than" in weight
+    coupled = refused(
+        grains=rock, stress=Stress(xx=1e7, yy=1e7), gravity=9.81, coupling=Coupling(method="linear")
+    )
+    assert "gravity: a coupled specimen has no weight" in coupled
     well = Well(name="w", at=(0.5, 0.0), radius=0.1, rate=0.0)
     assert "wells.w.at: the well lies outside" in refused(excavate=(hole(0.0),), wells=(well,))
 

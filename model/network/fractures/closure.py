@@ -15,7 +15,7 @@ from demflow.model.scene import BartonBandis, Closure
 AROUND = 800
 
 # Contacts of a joint whose forces are the stress across one of its pieces.
-ALONG = 30
+ALONG = 60
 
 # The layer at the walls, in parts of the specimen, is no sample of its inside.
 LAYER = 0.1
