@@ -350,7 +350,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="demflow.model.mechanics.loading.stress:load",
-        version=10,
+        version=11,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -383,7 +383,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="demflow.model.mechanics.loading.strength:strength",
-        version=7,
+        version=8,
         parents=("pack", "specimen"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

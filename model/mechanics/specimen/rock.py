@@ -30,6 +30,8 @@ from demflow.model.mechanics.specimen.measures import listed
 from demflow.model.products import Packing
 from demflow.model.scene import Bonds, Contact, JointLine
 
+MOST_DAMPING = 0.7  # local damping that any stage moves grains with
+
 
 class Scaled(NamedTuple):
     """Packed grains in units of their mean radius, the box around the origin."""
@@ -152,6 +154,9 @@ def build_specimen(
     traces = [_trace(line, unit, middle, normal_stiffness) for line in joints]
     law = elastic.law
     mass = scaled_mass(radius, _stiffest(law, cement, radius, traces), TIME_STEP)
+    mass = np.maximum(
+        mass, _least_mass(law, cement, np.bincount(np.append(a, b), minlength=len(x)))
+    )
     return Specimen(
         at_rest(x, y, radius, mass),
         box,
@@ -252,6 +257,24 @@ def _trace(line: JointLine, unit: float, middle: Array, normal_stiffness: float)
         cohesion=joint.cohesion / normal_stiffness,
         dilation=float(np.tan(joint.dilation_angle)),
     )
+
+
+def _least_mass(law: Law, cement: BondState, contacts: Array) -> Array:
+    """Mass (n,) at which grains with so many `contacts` (n,) are calm under local damping.
+
+    Grains that move against all their neighbours have ω² = z (k_n + k_s) / m, those that turn with
+    them 2 z k_s / m. Local damping α enlarges the force that stops them by 1 + α, so that leapfrog
+    needs Δt ω √(1 + α) ≤ 2: in a regular lattice they do so all at once, and never come to rest.
+    """
+    if not isinstance(law, Linear | Rolling):
+        return np.zeros(len(contacts))
+    normal, shear = law.kn, law.ks
+    if cement.kind == PARALLEL_BONDS:
+        normal = normal + cement.kn.max(initial=0.0)
+        shear = shear + cement.ks.max(initial=0.0)
+    stiffness = max(normal + shear, 2.0 * shear)
+    found: Array = 0.25 * (1.0 + MOST_DAMPING) * TIME_STEP**2 * stiffness * contacts
+    return found
 
 
 def _stiffest(law: Law, cement: BondState, radius: Array, traces: list[Trace]) -> float:
