@@ -26,6 +26,7 @@ from demflow.sweep.analysis.cases import (
     with_unit,
 )
 from demflow.sweep.analysis.periods import period_starts
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.maps import map_times, polygons
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
@@ -182,7 +183,11 @@ def _maps(
         scene = case_at(study, tuple(index[axis.name] for axis in study.axes)).scene
         if "pressure_map" not in scene.observe:
             continue
-        maps = maps_of(index)
+        try:
+            maps = maps_of(index)
+        except ResultsError:  # its products are gone, or lie elsewhere
+            left_out.append("pressure maps")
+            break
         if maps.sizes["domain"] > MOST_PORES:
             left_out.append("pressure maps")
             break
