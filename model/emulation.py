@@ -157,6 +157,22 @@ def emulate(
 
     Parameters are those of `emulator`, and `wanted`, what is observed. Under the names of
     `model.quantities.CASE`; beside them `failure`, words for those that have no result.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    stress : the stress on the rock, or None
+    network : pores and pipes of the matrix
+    walked : where traces lie in the network
+    calibrated : permeability of the unstressed network, or None
+    model : reduced model of a family of cases
+    region : where the case lies, m
+    matrix : pipes of the rock, or None
+    viscosity : of the fluid, Pa s
+    fractures : the fractures of the scene
+    asked : what the flow stage is asked for
+    wanted : names of what is observed
+    members : cases of the family
     """
     every = [one.fractures for one in members]
     _check(fractures, tuple(every))

@@ -122,6 +122,12 @@ def superposed(responses: Responses, controls: Controls, loads: Loads | None = N
 
     `loads` are the changes of stress on the walls of a coupled rock, whose responses come last;
     there pressures and flows of a response may rise and fall.
+
+    Parameters
+    ----------
+    responses : step responses of all sources
+    controls : rates and pressures of the case in time
+    loads : what wells with limits do, or None
     """
     found = settled(responses, controls, _given(controls, loads))
     steps = _given(controls, loads) if found is None else found.steps
@@ -184,7 +190,16 @@ def superposed(responses: Responses, controls: Controls, loads: Loads | None = N
 def superposed_record(
     responses: Array, initial: Array, lag: Array, controls: Controls, loads: Loads
 ) -> Array:
-    """Something recorded of a coupled rock, (k, t), from responses (sources, l, k), fields so."""
+    """Something recorded of a coupled rock, (k, t), from responses (sources, l, k), fields so.
+
+    Parameters
+    ----------
+    responses : (sources, l, o) for a unit each
+    initial : what is left of the initial fields
+    lag : (l,) s
+    controls : rates and pressures of the case in time
+    loads : what wells with limits do, or None
+    """
     times = _times(controls)
     found = superpose(responses, lag, step_sizes(controls) + _load_steps(loads), times)
     found += started(initial, lag, controls.initial_weights, times)
@@ -195,6 +210,12 @@ def superposed_map(responses: Responses, controls: Controls, loads: Loads | None
     """Pressure (t, m) in Pa of the domains of the responses; (1, m) for a steady study.
 
     Domains that no source reaches keep the initial pressure; NaN where none is given.
+
+    Parameters
+    ----------
+    responses : step responses of all sources
+    controls : rates and pressures of the case in time
+    loads : what wells with limits do, or None
     """
     times = _times(controls)
     steps = _steps(responses, controls, loads)

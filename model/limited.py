@@ -92,7 +92,14 @@ def settled(responses: Responses, controls: Controls, given: Steps) -> Settled |
 
 
 def interpolating(lag: Array, changes: list[tuple[float, float]], at: Array) -> Array:
-    """Weights (t, l) of responses at lags (l,) in the sum of steps at other times."""
+    """Weights (t, l) of responses at lags (l,) in the sum of steps at other times.
+
+    Parameters
+    ----------
+    lag : (l,) s
+    changes : times of changes, s
+    at : times, (t,) s
+    """
     from scipy.interpolate import CubicSpline
 
     later = np.flatnonzero(lag > 0.0)
@@ -201,7 +208,8 @@ class _Search:
         # what is recorded is at the end of a step, where conditions hold
         stops = self.stops if busy else self.starts
         later = bisect.bisect_right(stops, now)
-        return min(then, stops[later] if later < len(stops) else self.end)
+        found: float = min(then, stops[later] if later < len(stops) else self.end)
+        return found
 
     def _when(self, now: float, low: float, high: float) -> float:
         """The time at which another condition begins to hold within a step."""

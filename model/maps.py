@@ -106,7 +106,14 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
 
 
 def opened_at_end(net: Network, aperture: np.ndarray, scene: Scene) -> Apertures:
-    """The pipes of a network at given apertures (p,) m."""
+    """The pipes of a network at given apertures (p,) m.
+
+    Parameters
+    ----------
+    net : pores and pipes
+    aperture : of the pipes, m
+    scene : the case
+    """
     viscosity = scene.fluid.viscosity if scene.fluid is not None else 1.0
     plain = uniform(net, float(aperture.min(initial=np.inf)), viscosity)
     conductance = pipe_conductance(aperture, net.pipe_length, viscosity)

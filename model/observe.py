@@ -419,7 +419,15 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
 def flowed(
     history: History, traces: FractureNetwork | None, controls: Controls, wanted: tuple[str, ...]
 ) -> dict[str, np.ndarray]:
-    """What is observed of the flow, and what is asked for of what depends on it."""
+    """What is observed of the flow, and what is asked for of what depends on it.
+
+    Parameters
+    ----------
+    history : pressures and flows in time
+    traces : the network of the fractures
+    controls : rates and pressures of the case in time
+    wanted : names of what is observed
+    """
     found = observe_flow(history, controls) | _lowest(history, controls)
     if traces is not None:
         found["fracture_flow_share"] = _share(traces, found, controls)

@@ -48,7 +48,8 @@ def _image(root: np.ndarray, distance: float, reflection: float) -> np.ndarray:
     if reflection == NONE:
         return np.zeros_like(root)
     far = 2.0 * distance * root
-    return reflection * kve(0, far) * np.exp(-far)
+    found: np.ndarray = reflection * kve(0, far) * np.exp(-far)
+    return found
 
 
 def _strip(s: np.ndarray, first: Side, second: Side) -> np.ndarray:

@@ -101,6 +101,12 @@ def openings(case: Case, hold: Hold, found: Borne) -> tuple[Openings, Openings]:
     """Apertures of the pipes and of the links, m.
 
     Under compression w0 F0 / (F + F0), else w0 + m g with g the gap (Eqs 2, 3).
+
+    Parameters
+    ----------
+    case : the specimen and its loads
+    hold : what they remember
+    found : what contacts bear there
     """
     c = case.conduits
     return (
@@ -138,7 +144,15 @@ class Flow(NamedTuple):
 
 
 def flow(case: Case, hold: Hold, found: Borne, p: Array) -> Flow:
-    """What flows at pressures p (d,), at the apertures of a state."""
+    """What flows at pressures p (d,), at the apertures of a state.
+
+    Parameters
+    ----------
+    case : the specimen and its loads
+    hold : what they remember
+    found : what contacts bear there
+    p : pressures, (n,) Pa
+    """
     c = case.conduits
     pipes, links = openings(case, hold, found)
     g, h = c.factor * pipes.wide**3, c.link_factor * links.wide**3
@@ -149,7 +163,14 @@ def flow(case: Case, hold: Hold, found: Borne, p: Array) -> Flow:
 
 
 def net_inflow(case: Case, pipe: Array, link: Array) -> Array:
-    """Sum of flows into each pore, (d,)."""
+    """Sum of flows into each pore, (d,).
+
+    Parameters
+    ----------
+    case : the specimen and its loads
+    pipe : flow along each pipe, m³/s
+    link : flow along each link to a fixed pressure, m³/s
+    """
     c, d = case.conduits, len(case.storage)
     net: Array = np.bincount(c.j, weights=pipe, minlength=d)
     net -= np.bincount(c.i, weights=pipe, minlength=d)

@@ -140,7 +140,14 @@ class March:
         return state._replace(ledger=book)
 
     def to(self, state: State, end: float, wells: Wells) -> State:
-        """March to a time, or to why it stops."""
+        """March to a time, or to why it stops.
+
+        Parameters
+        ----------
+        state : where it stands
+        end : time to reach, s
+        wells : the wells
+        """
         d = len(state.p)
         if wells.held.any():
             jump = np.where(wells.held, wells.pressure, state.p)

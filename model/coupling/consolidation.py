@@ -160,7 +160,14 @@ def lags(
     wells: tuple[WellSite, ...],
     load_times: tuple[tuple[float, ...], ...],
 ) -> Array:
-    """Times since a step at which responses are needed, increasing, s."""
+    """Times since a step at which responses are needed, increasing, s.
+
+    Parameters
+    ----------
+    times : of the outputs, s
+    wells : the wells
+    load_times : when loads change, s
+    """
     of_wells = change_times(wells)
     changes = np.unique(np.concatenate([of_wells, *(np.asarray(t, float) for t in load_times)]))
     wanted = np.concatenate([times, of_wells])
@@ -169,7 +176,14 @@ def lags(
 
 
 def held_pores(packing: Packing, network: Network, sides: tuple[str, ...]) -> Array:
-    """The side that holds the pressure of each pore, (d,), −1 none: those that reach its wall."""
+    """The side that holds the pressure of each pore, (d,), −1 none: those that reach its wall.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    network : pores and pipes of the matrix
+    sides : sides at a fixed pressure
+    """
     at_side = np.full(len(network.x), -1)
     walls = pores_of(packing, network).walls
     for order, name in enumerate(sides):

@@ -279,7 +279,8 @@ class _Recorder:
         of = pipe[contact]
         i, j = given.pore[c.i[of]], given.pore[c.j[of]]
         between = np.hypot(net.x[i] - net.x[j], net.y[i] - net.y[j])
-        return np.where(of >= 0, between, 2.0 * case.unit * s.half_width[contact])
+        found: Array = np.where(of >= 0, between, 2.0 * case.unit * s.half_width[contact])
+        return found
 
     def _events(self) -> Events:
         case, given, events = self.case, self.given, self.march.events

@@ -135,8 +135,10 @@ def _joined(n: int, contacts: Contacts, carries: Array) -> Array:
         np.append(contacts.a[kept], stands),
         np.append(contacts.b[kept], np.full(len(stands), n)),
     )
-    return carries & (label[:n] == label[n])
+    found: Array = carries & (label[:n] == label[n])
+    return found
 
 
 def _overlaps(x: Array, y: Array, radius: Array, a: Array, b: Array) -> Array:
-    return radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])
+    found: Array = radius[a] + radius[b] - np.hypot(x[b] - x[a], y[b] - y[a])
+    return found

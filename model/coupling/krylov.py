@@ -258,7 +258,16 @@ def course(
 
 
 def idle(rock: Rock, record: Record, fixed: Array, lag: Array, *, field: bool) -> Course:
-    """The course of what moves no fluid."""
+    """The course of what moves no fluid.
+
+    Parameters
+    ----------
+    rock : grains and pores of the specimen
+    record : rows of what is recorded
+    fixed : which unknowns are held, (n,) bool
+    lag : (l,) s
+    field : whether the whole field is kept
+    """
     output = np.where(lag[:, None] > 0.0, fixed, 0.0)
     cumulative = np.zeros((len(lag), record.inflow.shape[0] + 1))
     pressure = np.zeros((len(lag), rock.system.n if field else 0))

@@ -63,6 +63,16 @@ def march(
     The tolerance holds for the local error of a step, over the largest pressure so far.
 
     Raises `ModelError` where a step cannot be found.
+
+    Parameters
+    ----------
+    factors : of the matrices, by step
+    record : rows of what is recorded
+    source : what acts
+    direct : what acts at once, (o,)
+    lag : (l,) s
+    tolerance : relative error in time
+    field : whether the whole field is kept
     """
     rock = factors.rock
     later = lag > 0.0

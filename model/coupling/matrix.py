@@ -85,7 +85,14 @@ class StepMatrix:
         self.stale = True
 
     def entries(self, stiffnesses: Array, conductances: Array, held: Array) -> csc_array:
-        """Its upper triangle; pressures that are `held` (d,) bool keep what they are."""
+        """Its upper triangle; pressures that are `held` (d,) bool keep what they are.
+
+        Parameters
+        ----------
+        stiffnesses : of the contacts
+        conductances : of the pipes, m³/(s Pa)
+        held : which unknowns are held, bool
+        """
         data = self.fixed + self.by @ np.concatenate([stiffnesses, conductances])
         if held.any():
             out = np.concatenate([np.zeros(self.m, bool), held])
@@ -98,6 +105,13 @@ class StepMatrix:
 
         Where GMRES thinks that it is done earlier, ENOUGH may do: the next step of Newton's method
         finds what is left.
+
+        Parameters
+        ----------
+        upper : coupling above the diagonal
+        besides : what stands beside
+        right : right-hand side
+        tolerance : relative residual that is left
         """
         whole = csr_array(upper + upper.T - diags_array(upper.diagonal()) + besides)
         for fresh in (self.stale, True):

@@ -34,7 +34,14 @@ class Record(NamedTuple):
 
 
 def record_of(rock: Rock, packing: Packing, records: Records) -> Record:
-    """Set up the outputs of a case, whose flow records are given."""
+    """Set up the outputs of a case, whose flow records are given.
+
+    Parameters
+    ----------
+    rock : grains and pores of the specimen
+    packing : grains at rest under the packing pressure
+    records : what was recorded at each step
+    """
     system, m = rock.system, len(rock.frame.free)
     wells, fixed = records.well_rows, records.flow_rows
     o = records.rows.shape[0]

@@ -67,11 +67,25 @@ class Rock(NamedTuple):
         factor.update(self._joint(diags_array(self.storage) + self.conductance / shift))
 
     def solve(self, factor: Quasidefinite, shift: float, load: Array) -> Array:
-        """The pressures (n,) of (G + s B) p = b."""
+        """The pressures (n,) of (G + s B) p = b.
+
+        Parameters
+        ----------
+        factor : factor of the matrix
+        shift : over the time step, 1/s
+        load : right-hand side
+        """
         return self.solve_both(factor, shift, load)[0]
 
     def solve_both(self, factor: Quasidefinite, shift: float, load: Array) -> tuple[Array, Array]:
-        """The pressures (n,) of (G + s B) p = b, and their u = K⁻¹ A p (m,)."""
+        """The pressures (n,) of (G + s B) p = b, and their u = K⁻¹ A p (m,).
+
+        Parameters
+        ----------
+        factor : factor of the matrix
+        shift : over the time step, 1/s
+        load : right-hand side
+        """
         m = len(self.frame.free)
         right = np.zeros(m + self.system.n)
         right[m:] = -load if math.isinf(shift) else -load / shift
@@ -115,7 +129,16 @@ class Rock(NamedTuple):
 def rock_of(
     packing: Packing, network: Network, frame: Frame, system: System, modulus: float
 ) -> Rock:
-    """The rock of a frame (of the packing) and a flow equation (on its `network` between walls)."""
+    """The rock of a frame (of the packing) and a flow equation (on its `network` between walls).
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    network : pores and pipes of the matrix
+    frame : stiffness of the grains
+    system : the flow equation C dp/dt = −G p + f
+    modulus : of the fluid, Pa
+    """
     pores = pores_of(packing, network)
     gradient = volume_gradient(pores, place_of(packing.x, packing.y, packing.box)).tocsr()
     gradient = csr_array(gradient[frame.free] / frame.unit)

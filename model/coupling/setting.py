@@ -64,6 +64,15 @@ def setting(
     """Set up a case; its loaded rock is found unless a march that goes on gives its `start`.
 
     Raises ModelError where the rock does not bear the stresses.
+
+    Parameters
+    ----------
+    packing : grains at rest under the packing pressure
+    unit_permeability : of the network with unit conductances, or None
+    rock : grains, cement and loads
+    wet : fluid and pipes
+    wells : the wells
+    start : displacement and memory to go on from, or None
     """
     specimen = build_specimen(
         packing, rock.normal_stiffness, rock.stiffness_ratio, rock.friction, rock.bonds,
@@ -196,7 +205,14 @@ def fluidless(skeleton: Skeleton, load: Array) -> Case:
 
 
 def at_rest(case: Case, hold: Hold, u: Array) -> Balanced:
-    """The state of a case without pores at its load."""
+    """The state of a case without pores at its load.
+
+    Parameters
+    ----------
+    case : the specimen and its loads
+    hold : what they remember
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    """
     none = np.empty(0)
     keeps = np.empty(0, bool)
     return balanced(case, hold, u, none, none, Fluid(0.0, none, keeps), keeps)
@@ -327,4 +343,5 @@ def _well_pores(net: Network, pore: Array, wells: tuple[Well, ...]) -> Array:
     found = number[domains_at(net, np.array([well.at for well in wells]))]
     if len(np.unique(found)) < len(found):
         raise ModelError("two wells lie in one pore; move them apart, or raise grains.count")
-    return found
+    result: Array = found
+    return result

@@ -98,7 +98,8 @@ class Borne(NamedTuple):
     @property
     def force(self) -> Array:
         """Normal force of grains and cement, (c,)."""
-        return self.normal + self.cement_n
+        found: Array = self.normal + self.cement_n
+        return found
 
 
 def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
@@ -287,13 +288,27 @@ def _strains(
 
 
 def some(skeleton: Skeleton, hold: Hold, which: Array) -> tuple[Skeleton, Hold]:
-    """Some of the contacts."""
+    """Some of the contacts.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    which : of the contacts, bool or int
+    """
     kept = Hold._make([*(f[which] for f in hold[:4]), hold.grip, hold.place])
     return Skeleton(*(f[which] for f in skeleton)), kept
 
 
 def borne(skeleton: Skeleton, hold: Hold, u: Array) -> Borne:
-    """What contacts bear at a displacement u (m,), from what they remember."""
+    """What contacts bear at a displacement u (m,), from what they remember.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    """
     s = skeleton
     part, slide, bend = s.parting @ u, s.sliding @ u, s.bending @ u
     intact = hold.mode == INTACT
@@ -323,7 +338,15 @@ def borne(skeleton: Skeleton, hold: Hold, u: Array) -> Borne:
 
 
 def forces(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> Array:
-    """Forces and torques (m,) of the contacts on grains and walls, and of what grips them."""
+    """Forces and torques (m,) of the contacts on grains and walls, and of what grips them.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    found : what contacts bear there
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    """
     total: Array = skeleton.parting.T @ (found.normal + found.cement_n)
     total -= hold.grip * (u - hold.place)
     total += skeleton.sliding.T @ (found.shear + found.cement_s)
@@ -332,7 +355,15 @@ def forces(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> Array:
 
 
 def remembered(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> Hold:
-    """What contacts remember of a state that was found; slip of joints that dilate opens them."""
+    """What contacts remember of a state that was found; slip of joints that dilate opens them.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    found : what contacts bear there
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    """
     slid = np.where(
         found.slips,
         np.abs(hold.shear - skeleton.ks * (found.slide - hold.slid) - found.shear)
@@ -351,6 +382,12 @@ def load_factors(skeleton: Skeleton, hold: Hold, found: Borne) -> tuple[Array, A
     """Stress over strength of each contact's cement in tension and in shear, (c,) and (c,).
 
     Zero where there is none. The laws are `contact.laws.bond_tension` and `bond_shear`.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    found : what contacts bear there
     """
     half = skeleton.half_width
     tension = -found.cement_n / (2.0 * half) + 1.5 * np.abs(found.cement_m) / half**2
@@ -367,9 +404,10 @@ def load_factors(skeleton: Skeleton, hold: Hold, found: Borne) -> tuple[Array, A
 
 def _over(stress: Array, strength: Array) -> Array:
     """Their ratio; infinite where what has no strength is loaded."""
-    return np.divide(
+    found: Array = np.divide(
         stress, strength, out=np.where(stress > 0.0, np.inf, 0.0), where=strength > 0.0
     )
+    return found
 
 
 def broken(skeleton: Skeleton, hold: Hold, found: Borne, u: Array, k: int, mode: int) -> Hold:
@@ -378,6 +416,15 @@ def broken(skeleton: Skeleton, hold: Hold, found: Borne, u: Array, k: int, mode:
     Grains that bore nothing of their own take over its shear, as far as friction holds it. From
     then on they move as in oil: slightly held where they were in the state before, so that one
     that hangs on sliding contacts alone does not spin. Forces of that are some 1e-4 of the rest.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    found : what contacts bear there
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    k : number of the contact
+    mode : 1 in tension, 2 in shear
     """
     assert mode in (BROKEN_IN_TENSION, BROKEN_IN_SHEAR)
     modes = hold.mode.copy()
@@ -394,7 +441,14 @@ def broken(skeleton: Skeleton, hold: Hold, found: Borne, u: Array, k: int, mode:
 
 
 def gripped(hold: Hold, which: Array, u: Array) -> Hold:
-    """The contacts with some grains (n,) bool firmly held where they are."""
+    """The contacts with some grains (n,) bool firmly held where they are.
+
+    Parameters
+    ----------
+    hold : what they remember
+    which : of the contacts, bool or int
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    """
     grip, place = hold.grip.copy(), hold.place.copy()
     for part in range(3):
         own = 3 * np.flatnonzero(which) + part
@@ -409,7 +463,15 @@ def damped_energy(hold: Hold, u: Array) -> float:
 
 
 def stored_energy(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> float:
-    """Elastic energy of grains and cement, and of what grips them firmly."""
+    """Elastic energy of grains and cement, and of what grips them firmly.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    found : what contacts bear there
+    u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
+    """
     s, firm = skeleton, hold.grip >= FIRM
     total = 0.5 * float(hold.grip[firm] @ (u - hold.place)[firm] ** 2)
     for force, stiffness in (

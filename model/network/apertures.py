@@ -217,6 +217,13 @@ def stress_across(
 
     That of the rock around, but of a joint what its own contacts bear. `of_line` (lines,) is the
     fracture that each line is of.
+
+    Parameters
+    ----------
+    walked : where traces lie in the network
+    stress : the stress on the rock, or None
+    fractures : the fractures of the scene
+    of_line : fracture of each line
     """
     closing = [f.closure is not None and f.closure.closes for f in fractures]
     if stress is None or not any(closing) or not len(walked.branch_line):
@@ -249,20 +256,38 @@ def branch_apertures(
 
     `of_line` (lines,) is the fracture that each line is of, `aperture` (lines,) m what it has
     without stress.
+
+    Parameters
+    ----------
+    walked : where traces lie in the network
+    felt : stress across branches, or None
+    fractures : the fractures of the scene
+    of_line : fracture of each line
+    aperture : of the lines, m
     """
     result = aperture[walked.branch_line]
     if felt is None:
-        return result
+        found: np.ndarray = result
+        return found
     for law in {f.closure for f in fractures if f.closure is not None and f.closure.closes}:
         ours = np.array([f.closure == law for f in fractures])[of_line][walked.branch_line]
         result[ours] = closed(result[ours], felt.across[ours], law) + felt.opening[ours]
-    return result
+    found = result
+    return found
 
 
 def with_branches(
     result: Apertures, walked: Walk, aperture: np.ndarray, viscosity: float
 ) -> Apertures:
-    """The traces' branches at hydraulic apertures (e,) m, and what their nodes store."""
+    """The traces' branches at hydraulic apertures (e,) m, and what their nodes store.
+
+    Parameters
+    ----------
+    result : apertures without them
+    walked : where traces lie in the network
+    aperture : of the branches, m
+    viscosity : of the fluid, Pa s
+    """
     half = 0.5 * aperture * walked.branch_length
     m = len(walked.node_x)
     volume = np.bincount(walked.branch_a, weights=half, minlength=m)

@@ -315,7 +315,14 @@ def _load_bearing(n: int, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.
 def cut_pipes(
     inside: np.ndarray, left: np.ndarray, right: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Pipes that leave the region, with the domain at their inner and their outer end."""
+    """Pipes that leave the region, with the domain at their inner and their outer end.
+
+    Parameters
+    ----------
+    inside : (pores,) bool
+    left : pore on the one side of each pipe
+    right : pore on the other
+    """
     cut = np.flatnonzero(inside[left] != inside[right])
     inner = np.where(inside[left[cut]], left[cut], right[cut])
     outer = np.where(inside[left[cut]], right[cut], left[cut])
@@ -329,6 +336,13 @@ def cut_places(
 
     On a circular rim pressure varies as the logarithm of the radius, so that the part is
     ln(r_e / r_i) / ln(r_j / r_i).
+
+    Parameters
+    ----------
+    region : where the case lies, m
+    x, y : centroids, m
+    inner : pores inside, of pipes that are cut
+    outer : pores outside
     """
     start = np.column_stack([x[inner], y[inner]])
     end = np.column_stack([x[outer], y[outer]])

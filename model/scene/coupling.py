@@ -156,6 +156,16 @@ def reckoned(
 
     `changes` are the pressures that are kept less the initial one, and the loads on walls, Pa. A
     well at a rate q draws about q μ ln(L / r_w) / (2π k).
+
+    Parameters
+    ----------
+    region : where the case lies, m
+    grains : how the grains are packed, and how stiff they are
+    matrix : pipes of the rock, or None
+    fluid : or None
+    stress : on the rock, or None
+    changes : times of changes, s
+    wells : the wells of the scene
     """
     if (
         stress is None
@@ -197,7 +207,17 @@ def coupling_problems(
     holed: bool,
     breaks: bool = False,
 ) -> Problems:
-    """What a coupled rock cannot be."""
+    """What a coupled rock cannot be.
+
+    Parameters
+    ----------
+    region : where the case lies, m
+    grains : how the grains are packed, and how stiff they are
+    bonds : cement at the contacts, or None
+    fractures : the fractures of the scene
+    holed : whether there are holes
+    breaks : whether bonds may break
+    """
     if not isinstance(region, Rectangle):
         yield (
             "coupling",

@@ -380,6 +380,7 @@ def loading_problems(
 
     Parameters
     ----------
+    coupled : whether fluid and grains are coupled
     grains : how the grains are packed, and how stiff they are
     bonds : cement at the contacts, or None
     stress : stress on the rock, or None

@@ -141,6 +141,14 @@ def fit_network(
     """Fit parameters of a scene to a measured test: times, pressures, rates and what was found.
 
     The search begins at the study's own values. Raises ResultsError, StoreError, LockedError.
+
+    Parameters
+    ----------
+    study : the study, read and checked
+    request : what is fitted
+    test : the measured test
+    results : folder of results
+    tell : hears how far it is
     """
     root = Path(results)
     store = Store.open(root / "store", create=True)
@@ -197,4 +205,5 @@ def _measured_well(study: Study, test: MeasuredTest) -> str:
     if len(wells) != 1:
         few = "no well" if not wells else f"wells {', '.join(wells)}"
         raise ResultsError(f"the scene has {few}; say which was measured: data.{test.name}.well")
-    return wells[0]
+    found: str = wells[0]
+    return found

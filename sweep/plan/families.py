@@ -53,7 +53,14 @@ class Families:
         self.found: dict[bytes, _Family] = {}
 
     def note(self, case: int, scene: Scene, own: np.ndarray) -> None:
-        """A case whose runs are `own` (stages,); it may be one of a family."""
+        """A case whose runs are `own` (stages,); it may be one of a family.
+
+        Parameters
+        ----------
+        case : number of the case
+        scene : of the case
+        own : identity of its own part
+        """
         asked = [self.stages[k].family for k in self.shared]
         if not asked or not all(may and may(scene) for may in asked):
             return

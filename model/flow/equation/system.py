@@ -143,6 +143,7 @@ def assemble(
 
     Parameters
     ----------
+    at_side : (pores,) which side a pore belongs to, or None
     network : pores and pipes of the matrix
     apertures : how far they are open, and traces with nodes of their own
     region : where the case lies, m

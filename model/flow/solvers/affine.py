@@ -54,6 +54,12 @@ def terms_of(base: Problem, changed: Callable[[int], Problem], count: int) -> Te
     `changed(k)` is the problem in which the fractures of class k, from 1 to `count`, conduct and
     store twice as much. None where what is left of the rock is negative, or the graph another one:
     then the family is none.
+
+    Parameters
+    ----------
+    base : problem of the first member
+    changed : problem of another by its number
+    count : members
     """
     one = [changed(k) for k in range(1, count + 1)]
     if not all(_alike(base, other) for other in one):

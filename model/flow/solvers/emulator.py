@@ -108,7 +108,14 @@ def round_off(small: Projected, last: float) -> float:
 
 
 def transfer(model: Emulator, share: Share, frequency: np.ndarray) -> np.ndarray:
-    """The response of each port to a load at each, at frequencies (f,) 1/s, (f, o, o)."""
+    """The response of each port to a load at each, at frequencies (f,) 1/s, (f, o, o).
+
+    Parameters
+    ----------
+    model : reduced model of a family of cases
+    share : what its cases share
+    frequency : Laplace variable, (f,) 1/s
+    """
     small = projected(model, share)
     loads = small.vectors.T @ small.ports
     inner = loads[None] / (small.decay[:, None] + frequency[:, None, None])
@@ -119,6 +126,13 @@ def residuals(model: Emulator, share: Share, small: Projected, frequency: np.nda
     """Squared norm of the residual of each port that counts, (r, a, p), without caution.
 
     At frequencies (r, a) 1/s of which each row has one modulus, that of a row of the samples.
+
+    Parameters
+    ----------
+    model : reduced model of a family of cases
+    share : what its cases share
+    small : the projected problem
+    frequency : Laplace variable, (f,) 1/s
     """
     reference, reach = _reference(model, share)
     seen_g = np.tensordot(share.conductance, model.seen_conductance[reference], 1)
@@ -156,6 +170,13 @@ def emulated(model: Emulator, problem: Problem, share: Share, around: Contour) -
     """The responses of one member of the family whose base poses `problem`, and their error.
 
     `around` is the contour of its lags.
+
+    Parameters
+    ----------
+    model : reduced model of a family of cases
+    problem : what is solved
+    share : what its cases share
+    around : contour of the inverse transform
     """
     small = projected(model, share)
     records, lag = problem.records, problem.lag
@@ -230,6 +251,13 @@ def build(terms: Terms, problem: Problem, members: list[Share], tolerance: float
     """The small model of a family, good for the members that are given within the tolerance.
 
     Raises `ModelError` where that takes too many vectors, `OutOfMemory`.
+
+    Parameters
+    ----------
+    terms : parts of the family’s matrix
+    problem : what is solved
+    members : shares of the members
+    tolerance : relative error
     """
     if np.count_nonzero(counted_outputs(problem)) > MOST_PORTS:
         raise ModelError(f"more than {MOST_PORTS} outputs are held to the tolerance")
@@ -299,7 +327,8 @@ class _Space:
     @property
     def count(self) -> int:
         """Vectors so far."""
-        return self.vectors.shape[1]
+        found: int = self.vectors.shape[1]
+        return found
 
     def factor(self, share: Share, shift: float) -> Factor:
         """The factor of G + s C of one member."""

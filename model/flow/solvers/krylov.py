@@ -409,6 +409,14 @@ def balanced(
     less than the round-off of its storage, the flows are right, and the volume follows from them.
     What was missing (l,), m³, comes with it: in volume, or in the present flow, had it been so all
     the time.
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    basis : the closed Krylov space
+    lag : (l,) s
+    let_in : flow from the fixed pressures of each vector, (m,)
+    given : flow that is given, m³/s
     """
     pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
     missing = pressure @ basis.stored - given * lag - integral @ let_in

@@ -137,6 +137,12 @@ def lags(
     The pressure is wanted at `times` and just before every rate change; the steps are
     those changes and the start. Without times the one lag is infinity. `fine`: steps may come at
     any time, and responses are needed between these too.
+
+    Parameters
+    ----------
+    times : of the outputs, s
+    wells : the wells
+    fine : whether more of them are taken
     """
     if not times:
         return np.array([math.inf])
@@ -281,7 +287,26 @@ def pose(
     record_map: bool = False,
     fine: bool = False,
 ) -> Posed:
-    """The flow equation of a case and what is asked of it; all as `flow` takes it."""
+    """The flow equation of a case and what is asked of it; all as `flow` takes it.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    region : where the case lies, m
+    bulk_modulus : of the fluid, Pa
+    wells : the wells
+    sides : names of the sides at fixed pressure
+    active : which sources act, (sources,) bool
+    probes : where pressures are recorded
+    times : of the outputs, s
+    tolerance : relative error in time
+    check_flows : whether boundary flows are held to it
+    decades : of the steps of sources
+    initial : what a transient starts from
+    record_map : whether fields are kept
+    fine : whether more lags are taken
+    """
     system = assemble(
         network,
         apertures,
@@ -313,7 +338,16 @@ def pose(
 def responses_of(
     posed: Posed, answer: Answer, start: Initial, met: float, choice: Choice
 ) -> Responses:
-    """What the *flow* stage returns, from what a solver has answered."""
+    """What the *flow* stage returns, from what a solver has answered.
+
+    Parameters
+    ----------
+    posed : the problem and what belongs to it
+    answer : what the solver gives
+    start : initial fields
+    met : tolerance that was met
+    choice : which solver, and why
+    """
     problem, system = posed.problem, posed.problem.system
     return Responses(
         lag=problem.lag,

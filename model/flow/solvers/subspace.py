@@ -315,7 +315,14 @@ class Basis(NamedTuple):
 
 
 def edge_triangle(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
-    """R of the QR decomposition of √g (u_i − u_j), √g_b u_i, so that VᵀGV = RᵀR, (m, m)."""
+    """R of the QR decomposition of √g (u_i − u_j), √g_b u_i, so that VᵀGV = RᵀR, (m, m).
+
+    Parameters
+    ----------
+    system : the flow equation C dp/dt = −G p + f
+    vectors : basis as pressures of all unknowns, (n, ≥ m)
+    m : number of vectors
+    """
     triangle = np.zeros((m, m))
     edges, fixed = len(system.edge_i), len(system.fixed_node)
     root_g, root_fixed = np.sqrt(system.edge_g), np.sqrt(system.fixed_g)

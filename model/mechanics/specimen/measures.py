@@ -40,6 +40,13 @@ def largest_overlap(x: Array, y: Array, radius: Array, a: Array, b: Array) -> fl
 
     Raises `ModelError` beyond `MOST_OVERLAP`: grains that stand for a rock do not pass through
     one another.
+
+    Parameters
+    ----------
+    x, y : centres, (n,) m
+    radius : radii, (n,) m
+    a : first grain of each contact, (c,)
+    b : second grain of each contact, (c,)
     """
     found = float(overlaps(x, y, radius, a, b).max(initial=0.0))
     if found > MOST_OVERLAP:

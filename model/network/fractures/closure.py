@@ -93,7 +93,8 @@ def closed(w0: np.ndarray, stress: np.ndarray, law: Closure) -> np.ndarray:
         return w0.copy()
     if law.table is not None:
         at, aperture = np.array(law.table).T
-        return w0 * np.interp(stress, at, aperture / aperture[0])
+        result: np.ndarray = w0 * np.interp(stress, at, aperture / aperture[0])
+        return result
     if law.half_stress is not None:
         left = half_stress(w0, stress, law.half_stress)
     elif law.barton_bandis is not None:
