@@ -23,10 +23,13 @@ from demflow.model.outcome import ModelError
 Array = np.ndarray
 
 MOST_VECTORS = 150
-POLES = 3  # of a window of two decades or more, two of a shorter one
+POLES = 3  # of a window of two decades or more that begins while pores even out
+ABOVE = 2.0  # the fast pole, over the fast end of a window that begins later
+# Largest rate of a pore times the first time, from which on neighbouring pores have evened out.
+EVEN = 150.0
+LAST_SEEN = 0.3  # of the change before: what a round of few vectors may hide
 FAINT = 0.1  # of the largest of a kind, below which an output's own size no longer counts
 CAUTION = 2.0  # an estimate is taken this much larger
-LEAST_REDUCTION = 0.1  # by which a round of poles is trusted to reduce the error
 NOTHING = 1e-13  # of a vector: what is left of it is round-off
 
 
@@ -160,13 +163,14 @@ class Modes:
         return now @ self.vector.T, speed @ self.vector.T, so_far @ self.vector.T
 
 
-def _poles(slow: float, fast: float) -> list[float]:
+def _poles(slow: float, fast: float, most: int) -> list[float]:
     """Shifts for a window of rates, 1/s: its slow end, its fast end and between them.
 
-    Rounded, so that sources find the factors of one another.
+    Rounded, so that sources find the factors of one another. More poles save vectors, but each
+    costs a factor, and a factor as much as ten vectors or more.
     """
     fast = max(fast, slow)
-    count = POLES if fast >= 100.0 * slow else 2 if fast > 1.5 * slow else 1
+    count = most if fast >= 100.0 * slow else 2 if fast > 1.5 * slow else 1
     return [2.0 ** round(math.log2(s)) for s in np.geomspace(slow, fast, count)]
 
 
@@ -207,12 +211,15 @@ def course(
             if space.append(factors.solve(shift, load)):
                 loads[chain] = space.stored(space.size - 1)
 
-    first = 2.0 ** round(-math.log2(times[-1]))
-    extend(math.inf)
-    extend(first)
-    # what is slower than the rock's slowest mode needs no pole
-    slowest = float(np.linalg.eigvalsh(space.projected[: space.size, : space.size])[0])
-    shifts = _poles(max(first, slowest), min(1.0 / times[0], _fastest(rock)))
+    first, fastest = 2.0 ** round(-math.log2(times[-1])), _fastest(rock)
+    if fastest * times[0] >= EVEN:
+        shifts = _poles(first, ABOVE / times[0], 2)
+    else:  # what pores do by themselves counts: start from where they stand at once
+        extend(math.inf)
+        extend(first)
+        # what is slower than the rock's slowest mode needs no pole
+        slowest = float(np.linalg.eigvalsh(space.projected[: space.size, : space.size])[0])
+        shifts = _poles(max(first, slowest), min(1.0 / times[0], fastest), POLES)
     around = len(shifts) * len(chains)
     error = math.inf
     while True:
@@ -225,8 +232,7 @@ def course(
                 f"the coupled transient lost its numbers at {space.size} vectors; look for "
                 "apertures or pores that lie too far apart"
             )
-        reduction = change / seen[-1][1] if seen and math.isfinite(seen[-1][1]) else 1.0
-        error = CAUTION * change * min(max(reduction, LEAST_REDUCTION), 1.0)
+        error = CAUTION * max(change, LAST_SEEN * (seen[-1][1] if seen else math.inf))
         seen.append((now, change))
         if error <= tolerance or space.size >= rock.system.n:
             break
