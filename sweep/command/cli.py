@@ -1,4 +1,4 @@
-"""The command `demflow`: run, check, plan, status, report, fit and what else there is below.
+"""The command `demflow`: new, run, check, plan, status, report, fit and what else there is below.
 
 Data go to stdout, messages and progress to stderr. Exit status: 0 all cases good, 1 some
 case failed or the run could not go on, for want of disk or of workers (the rest is there), 2
@@ -19,6 +19,7 @@ from typing import Any
 
 # `demflow --help` and `check` must answer at once: whatever needs numba, xarray, Dask or
 # matplotlib is imported by the command that needs it
+from demflow.sweep.command.beginning import SHELLS, completion, new
 from demflow.sweep.command.commands import (
     SOME_FAILED,
     WRONG,
@@ -131,7 +132,7 @@ def parser() -> argparse.ArgumentParser:
         sub.set_defaults(command=command)
         if takes_study:
             sub.add_argument("study", metavar="STUDY.yaml", help="the study file")
-        if command is not schema:
+        if command not in (schema, new, completion):
             sub.add_argument("--json", action="store_true", help="print JSON for a machine")
         return sub
 
@@ -150,6 +151,13 @@ def parser() -> argparse.ArgumentParser:
         )
         return sub
 
+    beginning = add(new, takes_study=False)
+    beginning.add_argument(
+        "name", metavar="NAME", nargs="?", help="of a study that comes with demflow"
+    )
+    beginning.add_argument(
+        "file", metavar="FILE", nargs="?", type=Path, help="what to write (NAME.yaml)"
+    )
     running = add_workers(add_results(add(run)))
     running.add_argument(
         "--scheduler",
@@ -192,7 +200,21 @@ def parser() -> argparse.ArgumentParser:
     cleaning.add_argument("folder", metavar="RESULTS_DIR", type=Path, help="folder of all results")
     cleaning.add_argument("--yes", action="store_true", help="free without asking")
     add(schema, takes_study=False)
+    completing = add(completion, takes_study=False)
+    completing.add_argument("shell", choices=SHELLS, help="the shell")
+    completing.set_defaults(described=_described(commands.choices))
     return parser
+
+
+def _described(commands: dict[str, argparse.ArgumentParser]) -> dict[str, tuple[str, list[str]]]:
+    """First line and options of each command."""
+    return {
+        name: (
+            (sub.description or "").splitlines()[0],
+            [text for action in sub._actions for text in action.option_strings],
+        )
+        for name, sub in commands.items()
+    }
 
 
 class _Version(argparse.Action):

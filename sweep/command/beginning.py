@@ -1,0 +1,130 @@
+"""What helps to begin: a study to change, and completion of commands in a shell."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shutil
+from pathlib import Path
+
+from demflow.sweep.command.terminal import say, show
+from demflow.sweep.errors import ResultsError
+
+EXAMPLES = Path(__file__).parents[2] / "studies"
+SHELLS = ("bash", "zsh", "fish")
+
+
+def examples() -> dict[str, Path]:
+    """The studies that come with the program, by name; the first to read first."""
+    found = {path.stem: path for path in sorted(EXAMPLES.glob("*.yaml"))}
+    first = {name: found.pop(name) for name in ("quickstart",) if name in found}
+    return {**first, **found}
+
+
+def title_of(path: Path) -> str:
+    """What a study is about, from its text."""
+    match = re.search(r"^title: *(.+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
+    return match[1].strip("'\" ") if match else ""
+
+
+def begin(name: str, file: Path | None) -> list[Path]:
+    """Copy a study that comes with the program, and the files that it names.
+
+    Returns what was written. Raises ResultsError where there is no such study, or a file is there
+    already.
+    """
+    from demflow.sweep.study.load import load_study
+    from demflow.sweep.study.units import nearest
+
+    known = examples()
+    if name not in known:
+        like = nearest(name, known)
+        hint = f"did you mean '{like}'?" if like else f"there are {', '.join(known)}"
+        raise ResultsError(f"no study is named '{name}'; {hint}")
+    target = file or Path(f"{name}.yaml")
+    named = [one.path for one in load_study(known[name]).files.values()]
+    copies = {target: known[name]}
+    copies |= {target.parent / p.relative_to(known[name].parent): p for p in named}
+    there = [path for path in copies if path.exists()]
+    if there:
+        raise ResultsError(f"{there[0]} is there already; nothing was written. Give another name")
+    for path, source in copies.items():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source, path)
+    return list(copies)
+
+
+def new(options: argparse.Namespace) -> int:
+    """Copy a study that comes with the program, to be changed; without a name, list them."""
+    if options.name is None:
+        for name, path in examples().items():
+            show(f"{name:26} {title_of(path)}")
+        return 0
+    written = begin(options.name, options.file)
+    for path in written:
+        show(str(path))
+    say(f"change it, then: demflow check {written[0]}; demflow run {written[0]}")
+    return 0
+
+
+def completion(options: argparse.Namespace) -> int:
+    """Print the completion of commands for a shell, as in: source <(demflow completion bash)."""
+    show(script(options.shell, options.described))
+    return 0
+
+
+def script(shell: str, described: dict[str, tuple[str, list[str]]]) -> str:
+    """The completion of a shell.
+
+    Parameters
+    ----------
+    shell : one of `SHELLS`.
+    described : of each command its first line and its options.
+    """
+    if shell == "fish":
+        return "\n".join(_fish(described))
+    commands = " ".join(described)
+    cases = "\n".join(
+        f'        {name}) words="{" ".join(options)}" ;;'
+        for name, (_, options) in described.items()
+    )
+    names = " ".join(examples())
+    begin = "autoload -U +X bashcompinit && bashcompinit\n" if shell == "zsh" else ""
+    return f"""{begin}_demflow() {{
+    local current="${{COMP_WORDS[COMP_CWORD]}}" words
+    if [ "$COMP_CWORD" -eq 1 ]; then
+        COMPREPLY=($(compgen -W "{commands}" -- "$current"))
+        return
+    fi
+    case "${{COMP_WORDS[1]}}" in
+{cases}
+    esac
+    if [ "${{COMP_WORDS[1]}}" = new ] && [ "$COMP_CWORD" -eq 2 ]; then
+        words="{names}"
+    fi
+    case "$current" in
+        -*) COMPREPLY=($(compgen -W "$words" -- "$current")) ;;
+        *) if [ "${{COMP_WORDS[1]}}" = new ]; then
+               COMPREPLY=($(compgen -W "$words" -- "$current"))
+           else
+               COMPREPLY=($(compgen -f -- "$current"))
+           fi ;;
+    esac
+}}
+complete -o filenames -F _demflow demflow"""
+
+
+def _fish(described: dict[str, tuple[str, list[str]]]) -> list[str]:
+    lines = []
+    for name, (told, options) in described.items():
+        quoted = told.replace("\\", "\\\\").replace("'", "\\'")
+        lines.append(f"complete -c demflow -n __fish_use_subcommand -f -a {name} -d '{quoted}'")
+        within = f"'__fish_seen_subcommand_from {name}'"
+        lines += [
+            f"complete -c demflow -n {within} -l {option.removeprefix('--')}"
+            for option in options
+            if option.startswith("--")
+        ]
+    names = " ".join(examples())
+    lines.append(f"complete -c demflow -n '__fish_seen_subcommand_from new' -f -a '{names}'")
+    return lines
