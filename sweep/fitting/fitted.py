@@ -21,6 +21,7 @@ from demflow.sweep.analysis.fitting import (
     shared_count,
     told_pairs,
 )
+from demflow.sweep.analysis.periods import clock_shift, find_breaks
 from demflow.sweep.analysis.reservoirs import MODELS, Superposed
 from demflow.sweep.dataset.folder import FITS, check_free
 from demflow.sweep.errors import ResultsError
@@ -31,6 +32,7 @@ from demflow.sweep.study.measured import MeasuredTest
 from demflow.sweep.study.reservoir import PARAMETERS, parameters_of
 
 NETWORK = "network"  # the name of the scene among the models
+MOST_SEARCHED = 20_000  # points of a record whose pressure is searched for changes of rate
 LEVEL = "initial_pressure"
 Tell = Callable[[str], None]
 
@@ -95,6 +97,8 @@ def fit_study(
     hear = tell or (lambda message: None)
     for note in test.notes:
         hear(f"data.{test.name}: {note}")
+    for note in _of_rates(test):
+        hear(f"data.{test.name}: {note}")
     if request.models:
         time, pressure, rates, fits = _by_models(request, test)
     else:
@@ -118,6 +122,21 @@ def fit_study(
     title = f"{study.title}: {MODELS[first].title if first in MODELS else 'the network'}"
     drawn = draw_fit(time, pressure, best.fitted, rates, title, fitted.folder / "fit.png")
     return Fitted(**{**fitted.__dict__, "figure": drawn})
+
+
+def _of_rates(test: MeasuredTest) -> list[str]:
+    """What the pressure says of the rates: their times where none are given, or another clock."""
+    if len(test.time) > MOST_SEARCHED:
+        return []
+    breaks = find_breaks(test.time, test.pressure)
+    if test.rate_changes is None:
+        told = ", ".join(f"{one.time:.4g} s ({one.confidence:.3f})" for one in breaks) or "none"
+        return [f"no rates are given; changes that the pressure shows (with confidence): {told}"]
+    shift = clock_shift(breaks, test.rate_changes, test.time)
+    if shift is None:
+        return []
+    word = "later" if shift > 0 else "earlier"
+    return [f"the pressure answers {abs(shift):.4g} s {word} than the rates change: two clocks?"]
 
 
 def _by_models(

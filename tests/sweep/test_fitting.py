@@ -235,3 +235,22 @@ def test_the_command_fits_a_file(tmp_path, capsys):
     assert main(["check", str(path)]) == 0
     assert "data.test: 120 points" in capsys.readouterr().out
     assert main(["run", str(path), "--results", str(tmp_path / "results")]) == 2
+
+
+@pytest.mark.slow
+def test_without_rates_the_changes_that_the_pressure_shows_are_told(tmp_path, capsys):
+    rates = ((0.0, 1e-3), (2e5, 0.0))
+    times = np.linspace(100.0, 4e5, 300)
+    pressure = Superposed(times, rates).pressure(MODELS["homogeneous"], ROCK, VALUES)
+    rows = (f"{t},{p / 1e6}" for t, p in zip(times.tolist(), pressure.tolist(), strict=True))
+    (tmp_path / "gauge.csv").write_text("\n".join(["t [s],p [MPa]", *rows]))
+    path = tmp_path / "study.yaml"
+    path.write_text(STUDY.replace(", rates: [[0 s, 1e-3 m3/s], [2e5 s, 0 m3/s]]", ""))
+    assert main(["fit", str(path), "--results", str(tmp_path / "results")]) == 2
+    said = capsys.readouterr().err
+    assert "changes that the pressure shows" in said
+    assert "e+05 s (1.000)" in said
+    assert "has no rates" in said
+    path.write_text(STUDY.replace("[2e5 s", "[1.7e5 s"))
+    assert main(["fit", str(path), "--results", str(tmp_path / "results"), "--no-figure"]) == 0
+    assert "later than the rates change: two clocks?" in capsys.readouterr().err
