@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from demflow.sweep.analysis.breaks import clock_shift, find_breaks
 from demflow.sweep.analysis.fitting import (
     Estimate,
     Fit,
@@ -21,7 +22,6 @@ from demflow.sweep.analysis.fitting import (
     shared_count,
     told_pairs,
 )
-from demflow.sweep.analysis.periods import clock_shift, find_breaks
 from demflow.sweep.analysis.reservoirs import MODELS, Superposed
 from demflow.sweep.dataset.folder import FITS, check_free
 from demflow.sweep.errors import ResultsError

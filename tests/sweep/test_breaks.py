@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from demflow.sweep.analysis.periods import clock_shift, find_breaks
+from demflow.sweep.analysis.breaks import clock_shift, find_breaks
 
 RATES = ((0.0, 1.0), (2e4, 0.0), (5e4, 0.6), (8e4, 0.0))
 
