@@ -17,7 +17,7 @@ class Break(NamedTuple):
     """A place at which the pressure turns or gathers speed, as it does where a rate changes."""
 
     time: float  # s, the last point before
-    index: int
+    place: int  # its index
     confidence: float  # that it is none of the scatter's, for the record as a whole
 
 
@@ -85,7 +85,7 @@ def clock_shift(
     starts = starts[(starts > t[0]) & (starts < t[-1])]
     if not len(starts) or len(breaks) != len(starts):
         return None
-    ends = np.array([t[min(one.index + 1, len(t) - 1)] for one in breaks])
+    ends = np.array([t[min(one.place + 1, len(t) - 1)] for one in breaks])
     begins = np.array([one.time for one in breaks])
     late, early = begins - starts, starts - ends
     if np.all(late > 0.0) or np.all(early > 0.0):

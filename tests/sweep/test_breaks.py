@@ -27,7 +27,7 @@ def test_every_change_is_found_and_no_other(seed, noise):
     for one, (start, _) in zip(found, RATES[1:], strict=True):
         assert abs(one.time - start) <= 2.0 * step
         assert one.confidence >= 0.999
-        assert times[one.index] == one.time
+        assert times[one.place] == one.time
 
 
 def test_times_may_be_even_in_the_logarithm():
@@ -36,7 +36,7 @@ def test_times_may_be_even_in_the_logarithm():
     )
     rates = ((0.0, 1.0), (2e4 + 1, 0.0), (4e4 + 2, 1.0))
     found = find_breaks(times, record(rates, times, 200.0, 1))
-    assert [one.index for one in found] == pytest.approx([59, 119], abs=2)
+    assert [one.place for one in found] == pytest.approx([59, 119], abs=2)
 
 
 @pytest.mark.parametrize("seed", range(5))
