@@ -215,6 +215,8 @@ class _Family:
         lag = self.posed.problem.lag
         self.around = contour(lag[lag > 0.0])
         self.start = none_at_all(self.posed.problem)
+        self.number = model.branch_class
+        self.why = ""
         self._last: tuple[bytes, tuple[Apertures, Responses]] | None = None
 
     def answer(
@@ -228,7 +230,8 @@ class _Family:
 
     def _emulated(self, width: np.ndarray) -> tuple[Apertures, Responses] | None:
         """By the small model; None where its error is beyond the tolerance."""
-        share = _share(self.model, width)
+        usable = bool(self.model.usable)
+        share = share_of(self.number, width / self.model.branch_aperture) if usable else None
         if share is None:
             self.why = str(self.model.reason) or "its apertures are no factors of the family's"
             return None
@@ -310,21 +313,15 @@ def _of_line(rock: Rock, fractures: tuple[Fracture, ...]) -> list[int]:
     return [line.fracture for line in acting_lines(fractures, rock.region)]
 
 
-def _share(model: Emulator, width: np.ndarray) -> Share | None:
-    """The shares of a member whose branches have apertures (e,) m; None where it has none."""
-    if not model.usable or width.shape != model.branch_aperture.shape:
-        return None
-    return share_of(model.branch_class, width / model.branch_aperture)
-
-
 def share_of(number: np.ndarray, factor: np.ndarray) -> Share | None:
     """Shares from the class of each branch and its aperture over the base's, (e,).
 
     None where branches of one class differ in it.
     """
-    _, first = np.unique(np.append(0, number), return_index=True)
-    each = np.append(1.0, factor)[first]
-    if np.any(np.abs(np.append(1.0, factor) - each[np.append(0, number)]) > ROUND_OFF * each.max()):
+    each = np.ones(int(number.max(initial=0)) + 1)
+    each[number] = factor
+    each[0] = 1.0
+    if np.any(np.abs(factor - each[number]) > ROUND_OFF * each.max()):
         return None
     return Share(each**3, each)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -31,6 +32,8 @@ __all__ = [
 
 # An end of a trace nearer to the rim than this part of its length lies on it.
 RIM_TOUCH = 1e-9
+
+MOST_FOUND = 32  # networks of lines that are kept
 
 
 class Line(NamedTuple):
@@ -181,7 +184,29 @@ def acting_lines(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
 
 
 def flow_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[FlowLine, ...]:
-    """Where `acting_lines` run, and the part that each has in flow."""
+    """Where `acting_lines` run, and the part that each has in flow.
+
+    Of cases that differ in how wide fractures are, the same lines: found once.
+    """
+    drawn = tuple(
+        (type(one), one.part, *(getattr(one, f.name) for f in fields(one) if f.name != "aperture"))
+        for one in fractures
+    )
+    try:
+        known = _found.get((drawn, region))
+    except TypeError:  # a part that has no hash
+        return _flow_lines(fractures, region)
+    if known is None:
+        if len(_found) >= MOST_FOUND:
+            _found.clear()
+        known = _found[drawn, region] = _flow_lines(fractures, region)
+    return known
+
+
+_found: dict[tuple[Any, Region], tuple[FlowLine, ...]] = {}
+
+
+def _flow_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[FlowLine, ...]:
     return tuple(
         FlowLine(
             fractures[line.fracture].part,

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Different members from which on a family is worth its model, that takes as long as some thirty.
 LEAST = 64
-CHOSEN = 40  # members that a model is made from
+CHOSEN = 24  # members that a model is made from
 BLOCK = 64  # members that one run serves
 
 

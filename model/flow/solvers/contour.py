@@ -30,6 +30,7 @@ class Contour(NamedTuple):
 
     radius: np.ndarray  # (r,) 1/s
     frequency: np.ndarray  # (r, a) complex, 1/s, on the upper half
+    leaning: np.ndarray  # (r, a) cosine of half of its angle
     weight: np.ndarray  # (radii, l, r, a) of |E| in the bound at each lag
 
     def in_time(self, error: np.ndarray) -> np.ndarray:
@@ -38,9 +39,8 @@ class Contour(NamedTuple):
 
     def shares(self, error: np.ndarray) -> np.ndarray:
         """What each radius has in that bound, (l, r)."""
-        every = self.weight * error
-        best = every.sum(axis=(2, 3)).argmin(axis=0)
-        return np.asarray(every[best, np.arange(len(best))].sum(axis=2))
+        best = np.tensordot(self.weight, error, 2).argmin(axis=0)
+        return np.asarray((self.weight[best, np.arange(len(best))] * error).sum(axis=2))
 
 
 def radii(lag: np.ndarray) -> np.ndarray:
@@ -64,4 +64,6 @@ def contour(lag: np.ndarray) -> Contour:
             outwards[0] *= 0.5
             decay = np.exp(radius[arc:] * time * np.cos(ANGLE))
             weight[trial, k, arc:, -1] += outwards * decay / np.pi
-    return Contour(radius, radius[:, None] * np.exp(1j * angle), weight)
+    frequency = radius[:, None] * np.exp(1j * angle)
+    leaning = np.tile(np.cos(0.5 * angle), (len(radius), 1))
+    return Contour(radius, frequency, leaning, weight)

@@ -44,7 +44,7 @@ SEED = 20
 # Poles of snapshots: from below the inverse of the last time, each so many times the one before,
 # to beyond that of the first; and images taken at each.
 SLOWEST, LADDER, FASTEST = 0.1, 10.0, 10.0
-IMAGES = 2
+IMAGES = 3
 
 MOST_VECTORS = 240
 MOST_SNAPSHOTS = 40
@@ -108,15 +108,18 @@ def round_off(small: Projected, last: float) -> float:
 
 
 def transfer(model: Emulator, share: Share, frequency: np.ndarray) -> np.ndarray:
-    """The response of each port to a load at each, at frequencies (f,) 1/s, (f, o, o).
+    """The response of each output to a load at each, at frequencies (f,) 1/s, (f, o, o).
 
     Parameters
     ----------
-    model : reduced model of a family of cases
-    share : what its cases share
+    model : small model of a family of cases
+    share : how wide the fractures of one member are
     frequency : Laplace variable, (f,) 1/s
     """
-    small = projected(model, share)
+    return _transfer(projected(model, share), frequency)
+
+
+def _transfer(small: Projected, frequency: np.ndarray) -> np.ndarray:
     loads = small.vectors.T @ small.ports
     inner = loads[None] / (small.decay[:, None] + frequency[:, None, None])
     return np.asarray(loads.T @ inner + small.at_wells.T @ small.inverse @ small.at_wells)
@@ -205,7 +208,7 @@ def emulated(model: Emulator, problem: Problem, share: Share, around: Contour) -
     error, worst = _in_time(model, problem, answer, size, around)
     noise = round_off(small, lag[-1])
     slow = np.abs(np.log(around.radius * lag[-1])).argmin()
-    at_rest = np.abs(np.einsum("oo->o", transfer(model, share, around.radius[[slow]])[0]))
+    at_rest = np.abs(np.einsum("oo->o", _transfer(small, around.radius[[slow]])[0]))
     left = np.sqrt(size[slow, 0] / at_rest[model.counted])
     return Emulated(
         answer._replace(time_error=error + noise, residual=float(left.max())),
@@ -221,7 +224,6 @@ def _in_time(
     """Largest relative error of all that is held to the tolerance; what each radius has in it."""
     shared = shared_out(problem, lambda _: answer)
     later = problem.lag > 0.0
-    leaning = np.cos(0.5 * np.angle(around.frequency))
     counted = np.flatnonzero(model.counted).tolist()
     largest, worst = 0.0, np.zeros(len(around.radius))
     for k in problem.active_sources:
@@ -231,7 +233,7 @@ def _in_time(
             counts = scale[:, port] > 0.0
             if not counts.any():
                 continue
-            product = CAUTION * np.sqrt(size[:, :, own] * size[:, :, place]) / leaning
+            product = CAUTION * np.sqrt(size[:, :, own] * size[:, :, place]) / around.leaning
             relative = around.in_time(product)[counts] / scale[counts, port]
             largest = max(largest, float(relative.max()))
             shares = around.shares(product)[counts] / scale[counts, port][:, None]
@@ -314,7 +316,7 @@ class _Space:
         self.acts = [np.flatnonzero(g) for g in terms.edge_g]
         self.wells = system.n - system.pores
         self.weight = system.storage  # of the inner product
-        self.vectors = np.eye(system.n)[:, system.pores :]
+        self.vectors = np.eye(system.n, self.wells, -system.pores)
         self.conductance = np.zeros((count, 0, 0))
         self.storage = np.zeros((count, 0, 0))
         self.references: list[_Reference] = []
@@ -400,7 +402,8 @@ class _Space:
             flow = self._flow(t, fresh)
             stored = self.terms.storage[t][:, None] * fresh
             for into, whole in zip(seen, (flow, stored), strict=True):
-                rows = np.flatnonzero(np.any(whole != 0.0, axis=1))
+                acts = np.any(whole != 0.0, axis=1)
+                rows = np.flatnonzero(acts) if np.count_nonzero(acts) < 0.5 * len(acts) else ...
                 part = whole[rows]
                 into.append([z[rows].T @ part for z in reference.samples])
         reference.conductance.append(np.array(seen[0]))
@@ -454,7 +457,7 @@ class _Space:
             stored=terms.storage @ self.vectors,
             sealed=np.asarray(float(len(terms.system.fixed_node) == 0)),
             highest=np.abs(self.vectors).max(axis=0),
-            ports=np.einsum("tno,nq->tqo", terms.ports, self.vectors),
+            ports=np.array([self.vectors.T @ rows for rows in terms.ports]),
             direct=terms.direct,
             counted=counted_outputs(self.problem),
             reference_conductance=np.array([one.share.conductance for one in referred]),
