@@ -118,25 +118,28 @@ def of_model(model: str, count: int = COUNT) -> list[Made]:
 
 
 def run() -> Result:
-    """How often each true value is inside, by model and parameter."""
+    """Of each model: how many of its true values are inside, in a hundred."""
     lines = []
     shares = []
     for model in MODELS:
         made = of_model(model)
+        names = sought(model)
         cells = []
-        for name in sought(model):
+        for name in names:
             inside = sum(m.inside[name] for m in made)
-            open_ones = sum(not m.determined[name] for m in made)
-            shares.append(inside)
-            cells.append(
-                f"{name} {inside}" + (f" ({open_ones} said to be open)" if open_ones else "")
-            )
+            loose = sum(not m.determined[name] for m in made)
+            cells.append(f"{name} {inside}" + (f" ({loose} said to be open)" if loose else ""))
+        share = 100.0 * np.mean([m.inside[name] for m in made for name in names])
+        shares.append(float(share))
         seconds = sum(m.seconds for m in made)
-        lines.append(f"{model}: {', '.join(cells)}; {seconds:.0f} s of processor time, loaded")
+        lines.append(
+            f"{model}: {share:.1f} in a hundred; {', '.join(cells)}; {seconds:.0f} s of processor "
+            "time, loaded"
+        )
     low, high = min(shares), max(shares)
     return Result(
-        f"true values inside in {low} to {high} of {COUNT}",
-        f"90 to 99 of {COUNT}",
-        bool(low >= 90 and high <= 99),
+        f"of {COUNT} transients a model, {low:.1f} to {high:.1f} in a hundred true values inside",
+        "90 to 99 in a hundred, of each model",
+        bool(low >= 90.0 and high <= 99.0),
         "\n".join(lines),
     )
