@@ -76,6 +76,7 @@ class Hold(NamedTuple):
     mode: Array  # (c,) int8: NEVER cemented, INTACT, or how it broke
     grip: Array  # (m,) stiffness by which grains beside cracks are held, and where
     place: Array  # (m,)
+    oil: Array  # (m,) force of the soft grip in the state before
 
 
 class Borne(NamedTuple):
@@ -223,6 +224,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
         mode=np.append(mode, np.full(w, NEVER, np.int8)),
         grip=np.zeros(3 * n + 2),
         place=np.zeros(3 * n + 2),
+        oil=np.zeros(3 * n + 2),
     )
     return skeleton, hold
 
@@ -288,15 +290,8 @@ def _strains(
 
 
 def some(skeleton: Skeleton, hold: Hold, which: Array) -> tuple[Skeleton, Hold]:
-    """Some of the contacts.
-
-    Parameters
-    ----------
-    skeleton : what bears between grains: contacts, bonds and joints
-    hold : what they remember
-    which : of the contacts, bool or int
-    """
-    kept = Hold._make([*(f[which] for f in hold[:4]), hold.grip, hold.place])
+    """Some of the contacts."""
+    kept = Hold._make([*(f[which] for f in hold[:4]), hold.grip, hold.place, hold.oil])
     return Skeleton(*(f[which] for f in skeleton)), kept
 
 
@@ -375,6 +370,7 @@ def remembered(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> Hold:
         shear=found.shear,
         slid=found.slide,
         place=np.where(hold.grip < FIRM, u, hold.place),
+        oil=np.where(hold.grip < FIRM, hold.grip * (u - hold.place), 0.0),
     )
 
 
@@ -457,9 +453,10 @@ def gripped(hold: Hold, which: Array, u: Array) -> Hold:
 
 
 def damped_energy(hold: Hold, u: Array) -> float:
-    """What a soft grip takes on the way to displacements u (m,)."""
+    """What a soft grip takes on the way to displacements u (m,), by the trapezoidal rule."""
     soft = hold.grip < FIRM
-    return 0.5 * float(hold.grip[soft] @ (u - hold.place)[soft] ** 2)
+    way = (u - hold.place)[soft]
+    return 0.5 * float((hold.oil[soft] + hold.grip[soft] * way) @ way)
 
 
 def stored_energy(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> float:
