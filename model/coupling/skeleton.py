@@ -290,7 +290,14 @@ def _strains(
 
 
 def some(skeleton: Skeleton, hold: Hold, which: Array) -> tuple[Skeleton, Hold]:
-    """Some of the contacts."""
+    """Some of the contacts.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    which : of the contacts, bool or int
+    """
     kept = Hold._make([*(f[which] for f in hold[:4]), hold.grip, hold.place, hold.oil])
     return Skeleton(*(f[which] for f in skeleton)), kept
 
