@@ -121,6 +121,8 @@ def run_study(
     ------
     StudyError, StoreError, LockedError, SchedulerError before anything is run; RunError
     where the run as a whole cannot go on. A case that fails is no error: it is in the dataset.
+    KeyboardInterrupt after Ctrl-C: the first lets what runs end and collects the dataset of what
+    is finished, the second stops at once.
     """
     if workers < 1:
         raise ValueError(f"workers is {workers}; at least one is needed")
@@ -151,12 +153,14 @@ def run_study(
             how = replace(how, retry_failed=False, force=False)
             verdicts, collected, found = _collect(prepared)
             damaged += found
-            if not found:
+            if not found or (executed and executed.interrupted):
                 break
         else:
             raise StoreError(f"{prepared.store.root} does not keep what is written: {damaged[-1]}")
         if executed and executed.deaths:
             _remove_partial(prepared)
+        if executed and executed.interrupted:
+            raise KeyboardInterrupt  # the dataset holds what is finished
         (prepared.folder / UNFINISHED_FILE).unlink(missing_ok=True)
         damaged = [*(executed.damaged if executed else ()), *damaged]
         finished = replace(

@@ -30,6 +30,7 @@ class Executed:
     refused: list[str] = field(default_factory=list)  # workers that came in mid-run and cannot help
     seconds: float = 0.0  # by the clock, from the first worker's start
     worked: float = 0.0  # s that the stage runs took, without compiling
+    interrupted: int = 0  # whether Ctrl-C ended it before all was done
 
     def joined(self, other: Executed | None) -> Executed:
         """What this and another execution did together."""

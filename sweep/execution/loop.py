@@ -10,6 +10,7 @@ large, and nobody else is blamed. All lanes live in the event loop of one thread
 from __future__ import annotations
 
 import asyncio
+import signal
 import time
 from collections.abc import Awaitable, Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor, wait
@@ -82,7 +83,8 @@ def execute(
 
     Raises SchedulerError where the scheduler or its workers cannot be used; RunError where
     no worker can be had or the store cannot be written;
-    KeyboardInterrupt passes through, after the workers have been ended.
+    KeyboardInterrupt passes through, after the workers have been ended. A first Ctrl-C raises
+    nothing: what runs is finished, nothing new is begun, and the report says `interrupted`.
     """
     begin = time.monotonic()
     limits = limits or Limits()
@@ -97,7 +99,9 @@ def execute(
         with kept_from_children():
             done: Future[None] = thread.submit(asyncio.run, run.go())
         try:
-            while wait([done], TICK).not_done and not noted:
+            while wait([done], TICK).not_done and (not noted or noted == [signal.SIGINT]):
+                if noted:
+                    run.finish()
                 if progress and run.state:
                     progress(run.state)
         finally:
@@ -105,6 +109,9 @@ def execute(
                 time.sleep(0.01)  # it has not begun yet
         with suppress(asyncio.CancelledError):
             done.result()
+        if noted[:1] == [signal.SIGINT]:
+            del noted[:1]  # a second signal is raised all the same
+            ledger.report.interrupted += 1
         if progress:
             progress(run.now())
     ledger.report.seconds = time.monotonic() - begin
@@ -142,6 +149,7 @@ class _Execution:
         self.buried: dict[str, float] = {}  # when the worker of an address died
         self.silent = self.small = 0  # workers that never answered, or died of memory before
         self.started = False  # whether a stage run was handed out
+        self.ending = False  # whether nothing is handed out any more
         self.begin = self.alive = self.advanced = time.monotonic()
         self.watched = 0.0  # s for which all workers together have stood
         self.own = agreed()
@@ -175,6 +183,16 @@ class _Execution:
             with suppress(RuntimeError):  # it has just ended
                 self.main[0].call_soon_threadsafe(self.main[1].cancel)
         return self.main is not None
+
+    def finish(self) -> None:
+        """From another thread: hand out nothing more, and end when what runs has ended."""
+        if self.main is not None and not self.ending:
+            with suppress(RuntimeError):  # it has just ended
+                self.main[0].call_soon_threadsafe(self._begin_to_end)
+
+    def _begin_to_end(self) -> None:
+        self.ending = True
+        self._end_if_done()
 
     def _task(self, what: Any) -> asyncio.Task[None]:
         """Have something run beside, whose error is that of the whole run."""
@@ -264,9 +282,9 @@ class _Execution:
 
     async def _next(self, worker: _Worker) -> None:
         """Have a worker do the next lot."""
-        runs = self.schedule.next_lot()
+        runs = () if self.ending else self.schedule.next_lot()
         if not runs:
-            if not any(other.runs for other in self.workers.values()):
+            if not self.ending and not any(other.runs for other in self.workers.values()):
                 raise RunError(f"{self.schedule.pending} stage runs wait for each other")
             self.news.clear()
             await self._race(worker, self.news.wait())
@@ -340,7 +358,12 @@ class _Execution:
         """Something has ended: say so to those who wait for it."""
         self.advanced = time.monotonic()
         self.news.set()
-        if not self.schedule.pending and not self.over.done():
+        self._end_if_done()
+
+    def _end_if_done(self) -> None:
+        """End the run when nothing is left to do, or nothing runs that is waited for."""
+        idle = self.ending and not any(worker.runs for worker in self.workers.values())
+        if (idle or not self.schedule.pending) and not self.over.done():
             self.over.set_result(None)
 
     def _bury(self, worker: _Worker) -> None:
@@ -483,6 +506,7 @@ class _Execution:
             still=now - self.advanced,
             workers=sum(worker.ready for worker in workers),
             deaths=self.report.deaths,
+            ending=self.ending,
         )
 
 

@@ -23,6 +23,7 @@ class Progress(NamedTuple):
     still: float = 0.0  # s since a stage run ended
     workers: int = 0  # that can be used
     deaths: int = 0  # of workers
+    ending: bool = False  # whether only what runs already is finished
 
     @property
     def left(self) -> int:
@@ -79,7 +80,9 @@ def line(progress: Progress) -> str:
     )
     if not progress.left:
         return told
-    if progress.waiting > WAITING_SECONDS:
+    if progress.ending:
+        told += ", ending with what runs; Ctrl-C again stops at once"
+    elif progress.waiting > WAITING_SECONDS:
         told += f", no worker for {duration(progress.waiting)}: waiting"
     elif progress.compiling:
         told += ", compiling: once on this machine"

@@ -286,6 +286,7 @@ def test_progress_in_place_and_in_a_log(monkeypatch):
     assert line(waiting).endswith("8 left, no worker for 5 min: waiting")
     quiet = Progress(8, 3, 0, 60.0, still=40.0, workers=2, deaths=1)
     assert line(quiet).endswith("60 s to go (last progress 40 s ago; workers: 2, 1 have died)")
+    assert line(quiet._replace(ending=True, still=0.0)).endswith("Ctrl-C again stops at once")
     assert "progress" not in line(quiet._replace(still=20.0))
     assert line(Progress(8, 0, 0, None, True)).endswith("8 left, compiling: once on this machine")
     log = io.StringIO()

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from demflow import sweep
+from demflow.model.outcome import Status
 from demflow.model.quantities import SWEEP
 from demflow.sweep import engine
 from demflow.sweep.dataset.open import open_results
@@ -244,6 +245,40 @@ def test_workers_end_with_a_killed_run_whatever_they_are_at(tmp_path):
         running.process.kill()
         running.finish()
     assert running.left_after(5.0) == []
+
+
+def test_a_first_interrupt_lets_what_runs_end_and_collects_it(tmp_path):
+    path = toys.write_study(
+        tmp_path, seeds=(1,), stresses=(), rates=tuple(range(1, 9)), seconds=1.5
+    )
+    results, diary = tmp_path / "results", tmp_path / "diary"
+    running = start(path, results, **{toy_stages.DIARY: str(diary)})
+    wait_until(lambda: len(stored(results)) > 4)  # the first case is done
+    os.killpg(running.process.pid, signal.SIGINT)
+    status, _, err = running.finish(60)
+    assert (status, "Traceback" in err) == (130, False)
+    ended = toy_stages.noted(diary, "ends")
+    assert ended == toy_stages.noted(diary, "begins")  # nothing was cut off
+    with open_results(results / "toy") as dataset:
+        done = dataset["status"].values == Status.DONE
+        assert np.isfinite(dataset["well_pressure"].values[done]).all()
+    assert 0 < done.sum() <= len(ended) < 8
+    assert leftovers(results) == []
+
+
+def test_a_second_interrupt_stops_at_once(tmp_path):
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(toy_stages.HOLDS_ON,))
+    results = tmp_path / "results"
+    running = start(path, results)
+    wait_until(lambda: len(stored(results)) == 2)  # the flow holds on
+    os.killpg(running.process.pid, signal.SIGINT)
+    with pytest.raises(subprocess.TimeoutExpired):
+        running.process.wait(1.0)  # it waits for the flow
+    os.killpg(running.process.pid, signal.SIGINT)
+    status, _, err = running.finish(20)
+    assert (status, "Traceback" in err) == (130, False)
+    assert running.left_after(20) == []
+    assert leftovers(results) == []
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
