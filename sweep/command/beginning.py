@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shutil
 from pathlib import Path
@@ -12,6 +13,7 @@ from demflow.sweep.errors import ResultsError
 
 EXAMPLES = Path(__file__).parents[2] / "studies"
 SHELLS = ("bash", "zsh", "fish")
+SCHEMA_FILE = "demflow.schema.json"  # beside a new study
 
 
 def examples() -> dict[str, Path]:
@@ -27,8 +29,37 @@ def title_of(path: Path) -> str:
     return match[1].strip("'\" ") if match else ""
 
 
+def write_schema(file: Path) -> str:
+    """Write the JSON Schema of a study to a file.
+
+    Returns the first line with which a study in the same folder names it to editors
+    (yaml-language-server, as VS Code, Vim and Emacs use it). Raises ResultsError where the file is
+    another one than an older schema, or its name has blanks, at which editors stop reading.
+    """
+    from demflow.sweep.study.schema import study_schema
+
+    content = study_schema()
+    if re.search(r"\s", file.name):
+        raise ResultsError(f"'{file.name}' has blanks, at which editors stop; try {SCHEMA_FILE}")
+    if file.exists() and not _is_schema(file, content["title"]):
+        raise ResultsError(f"{file} is there already and no schema of studies; give another name")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+    return f"# yaml-language-server: $schema={file.name}"
+
+
+def _is_schema(file: Path, title: str) -> bool:
+    try:
+        found = json.loads(file.read_bytes())
+    except (OSError, ValueError):
+        return False
+    return isinstance(found, dict) and found.get("title") == title
+
+
 def begin(name: str, file: Path | None) -> list[Path]:
     """Copy a study that comes with the program, and the files that it names.
+
+    The schema of studies is written beside it, and its first line names that to editors.
 
     Returns what was written. Raises ResultsError where there is no such study, or a file is there
     already.
@@ -48,10 +79,13 @@ def begin(name: str, file: Path | None) -> list[Path]:
     there = [path for path in copies if path.exists()]
     if there:
         raise ResultsError(f"{there[0]} is there already; nothing was written. Give another name")
+    schema = target.parent / SCHEMA_FILE
+    line = write_schema(schema)  # refuses before anything is copied
     for path, source in copies.items():
         path.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(source, path)
-    return list(copies)
+    target.write_text(f"{line}\n{target.read_text(encoding='utf-8')}", encoding="utf-8")
+    return [*copies, schema]
 
 
 def new(options: argparse.Namespace) -> int:

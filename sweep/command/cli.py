@@ -199,7 +199,9 @@ def parser() -> argparse.ArgumentParser:
     cleaning = add(clean, takes_study=False)
     cleaning.add_argument("folder", metavar="RESULTS_DIR", type=Path, help="folder of all results")
     cleaning.add_argument("--yes", action="store_true", help="free without asking")
-    add(schema, takes_study=False)
+    add(schema, takes_study=False).add_argument(
+        "--write", metavar="FILE", type=Path, help="where to write it, instead of printing it"
+    )
     completing = add(completion, takes_study=False)
     completing.add_argument("shell", choices=SHELLS, help="the shell")
     completing.set_defaults(described=_described(commands.choices))

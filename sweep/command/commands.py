@@ -305,11 +305,16 @@ def clean(options: argparse.Namespace) -> int:
     return GOOD
 
 
-def schema(_options: argparse.Namespace) -> int:
-    """Print the JSON Schema of a study."""
+def schema(options: argparse.Namespace) -> int:
+    """Print the JSON Schema of a study, or write it and print the line that names it to editors."""
+    from demflow.sweep.command.beginning import write_schema
     from demflow.sweep.study.schema import study_schema
 
-    _print_json(study_schema())
+    if options.write is None:
+        _print_json(study_schema())
+        return GOOD
+    show(write_schema(options.write))
+    say("as its first line this lets editors check and complete a study in the same folder")
     return GOOD
 
 

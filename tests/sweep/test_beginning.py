@@ -1,9 +1,12 @@
 """`demflow new` and `demflow completion`."""
 
+import json
 import shutil
 import subprocess
 
+import jsonschema
 import pytest
+import yaml
 
 from demflow.sweep.command.beginning import examples, script, title_of
 from demflow.sweep.command.cli import main
@@ -25,8 +28,12 @@ def test_new_copies_a_study_that_is_valid_where_it_lies(name, tmp_path, monkeypa
     written = capsys.readouterr().out.split()
     assert written[0] == "mine/own.yaml"
     study = load_study(tmp_path / "mine" / "own.yaml")
-    assert study.text == examples()[name].read_text(encoding="utf-8")
-    assert len(written) == 1 + len(study.files)
+    first, _, rest = study.text.partition("\n")
+    assert rest == examples()[name].read_text(encoding="utf-8")
+    schema = tmp_path / "mine" / first.partition("$schema=")[2]
+    jsonschema.Draft202012Validator(json.loads(schema.read_text())).validate(yaml.safe_load(rest))
+    assert written[-1] == "mine/demflow.schema.json"
+    assert len(written) == 2 + len(study.files)
     for file in study.files.values():
         assert (tmp_path / "mine") in file.path.resolve().parents
 
@@ -39,6 +46,24 @@ def test_new_writes_over_nothing_and_hints_at_names(tmp_path, monkeypatch, capsy
     assert "there already" in capsys.readouterr().err
     assert main(["new", "quickstrat"]) == 2
     assert "did you mean 'quickstart'?" in capsys.readouterr().err
+
+
+def test_the_schema_is_written_where_it_harms_nothing(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["schema", "--write", "schemas/own.json"]) == 0
+    assert capsys.readouterr().out == "# yaml-language-server: $schema=own.json\n"
+    written = (tmp_path / "schemas" / "own.json").read_text()
+    assert main(["schema"]) == 0
+    assert capsys.readouterr().out == written
+    assert main(["schema", "--write", "schemas/own.json"]) == 0  # an older one gives way
+    for mine in ("study: mine", "[1]", '{"title": "mine"}'):
+        (tmp_path / "demflow.schema.json").write_text(mine)
+        assert main(["schema", "--write", "demflow.schema.json"]) == 2
+        assert main(["new", "quickstart"]) == 2
+        assert (tmp_path / "demflow.schema.json").read_text() == mine
+        assert not (tmp_path / "quickstart.yaml").exists()
+    assert main(["schema", "--write", "my schema.json"]) == 2
+    assert "blanks" in capsys.readouterr().err
 
 
 def completed(capsys, *words):
