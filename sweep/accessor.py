@@ -20,9 +20,11 @@ from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.analysis.sensitivity import sensitivity
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import ResultsError
+from demflow.sweep.study.units import UnitError, parse_unit
 
 if TYPE_CHECKING:
     import pandas as pd
+    from matplotlib.axes import Axes
 
 
 @xr.register_dataset_accessor("demflow")  # type: ignore[no-untyped-call]
@@ -72,6 +74,51 @@ class Results:
         return found.rename("pressure_derivative").assign_attrs(
             units="Pa", long_name="Bourdet derivative", smoothing_window=smoothing
         )
+
+    def plot_well(
+        self,
+        well: str,
+        ax: Axes | None = None,
+        *,
+        since: float = 0.0,
+        until: float = np.inf,
+        time: str = "h",
+        pressure: str = "kPa",
+        **at: Any,
+    ) -> Axes:
+        """Draw pressure change and Bourdet derivative of a well on log-log axes; return these.
+
+        Blue is the change, red the derivative; every line has a label, so that `ax.legend()`
+        names them. Of cases that failed nothing is drawn. Values of axes of the study choose
+        cases, as `rate=1e-5`, the nearest one; those along the other axes are drawn each.
+
+        Parameters
+        ----------
+        well : name of the well.
+        ax : matplotlib Axes to draw on, those of another study too; by default pyplot's current.
+        since, until : begin and end of the flow period, s.
+        time, pressure : units of the axes, as in a study file.
+
+        Raises ResultsError where there is no such well, axis or unit, where more cases are left
+        than can be told apart, or where the rate changes between `since` and `until`.
+        """
+        from demflow.sweep.figures.wells import plot_period
+
+        for name in ("pressure_change", "pressure_derivative", "well_rate"):
+            self._variable(name)
+        wells = [str(name) for name in self._dataset["well"].values]
+        if well not in wells:
+            raise ResultsError(f"there is no well {well}; there are {', '.join(wells)}")
+        for unit, like in ((time, "s"), (pressure, "Pa")):
+            _check_unit(unit, like)
+        chosen = self._dataset
+        for axis, value in at.items():
+            if axis not in self._variable("status").dims:
+                there = ", ".join(map(str, self._variable("status").dims)) or "none"
+                raise ResultsError(f"{axis} is no axis of the study; they are {there}")
+            nearest = None if isinstance(value, str) else "nearest"
+            chosen = chosen.sel({axis: value}, method=nearest)
+        return plot_period(chosen, well, ax, since=since, until=until, time=time, pressure=pressure)
 
     def permeability(self) -> xr.Dataset:
         """Return principal permeabilities, direction and anisotropy of each case."""
@@ -137,6 +184,16 @@ class Results:
             return name
         unit = str(self._dataset[name].attrs.get("units", "1"))
         return name if unit == "1" or not unit else f"{name} [{unit}]"
+
+
+def _check_unit(unit: str, like: str) -> None:
+    """Raise ResultsError for a unit that measures something else."""
+    try:
+        given = parse_unit(unit)
+    except UnitError as error:
+        raise ResultsError(str(error)) from None
+    if given.dimension != parse_unit(like).dimension:
+        raise ResultsError(f"{unit} is no unit of a {'time' if like == 's' else 'pressure'}")
 
 
 def compare(*folders: str | Path, lazy: bool = False) -> xr.DataTree:

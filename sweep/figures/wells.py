@@ -16,7 +16,16 @@ from matplotlib.lines import Line2D
 from demflow.model.outcome import Status
 from demflow.model.scene import Well
 from demflow.model.transient import SMOOTHING, flow_periods
-from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display
+from demflow.sweep.analysis.cases import (
+    Index,
+    axes,
+    axis_title,
+    axis_value,
+    case_title,
+    display,
+    done,
+)
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
@@ -32,8 +41,11 @@ from demflow.sweep.figures.style import (
     shades,
     time_unit,
 )
+from demflow.sweep.study.units import parse_unit
 
 WellOf = Callable[[Index, str], Well | None]  # None: the case has no such well
+
+MOST_LINES = 10  # cases on axes of the caller's
 
 _MOST = (5, 3, 3, 2)  # values shown by colour, line style, column of panels, row of panels
 _DECADES = 4.5  # shown below the largest pressure change
@@ -149,6 +161,79 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     )
     beside(figure, handles=_legend(dataset, roles, blues, reds), handlelength=2.6)
     return save(figure, path, _caption(dataset, well, roles, drawn))
+
+
+def plot_period(
+    dataset: xr.Dataset,
+    well: str,
+    panel: Axes | None,
+    *,
+    since: float,
+    until: float,
+    time: str,
+    pressure: str,
+) -> Axes:
+    """Draw pressure change and derivative of one flow period of a well on axes of the caller's.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it; every case of it that is done is drawn
+    well : name of the well
+    panel : where to draw; None: the current axes of pyplot
+    since, until : begin and end of the flow period, s
+    time, pressure : units of the axes
+
+    Raises ResultsError for too many cases, or a rate that changes within the period.
+    """
+    change, derivative, rate = (
+        dataset[name].sel(well=well)
+        for name in ("pressure_change", "pressure_derivative", "well_rate")
+    )
+    times = dataset["elapsed_time"].values
+    shown = list(done(dataset))
+    if not 0 < len(shown) <= MOST_LINES:
+        raise ResultsError(
+            f"{len(shown)} cases are done, and 1 to {MOST_LINES} can be told apart; choose values "
+            f"of {', '.join(axes(dataset)) or 'no axis'}"
+        )
+    period, within = (times > since) & (times <= until), (times > since) & (times < until)
+    if not period.any():
+        raise ResultsError(f"no time lies after {since:g} s and up to {until:g} s")
+    for index in shown:
+        own = rate.isel(index).values[within]
+        other = np.flatnonzero(~np.isclose(own, own[:1], rtol=1e-9, atol=0.0))
+        if len(other):
+            raise ResultsError(
+                f"the rate of {well} is not constant: it is another one at "
+                f"{times[within][other[0]]:g} s; give since= and until= of one flow period, in s"
+            )
+    if panel is None:
+        from matplotlib import pyplot
+
+        panel = pyplot.gca()
+    by_time, by_pressure = (
+        float(1 / quantity.factor) for quantity in (parse_unit(time), parse_unit(pressure))
+    )
+    blues, reds = (shades(name, len(shown)) for name in ("Blues", "Reds"))
+    for index, blue, red in zip(shown, blues, reds, strict=True):
+        title = case_title(dataset, index)
+        for values, colour, name in ((change, blue, "Δp"), (derivative, red, "dΔp/d ln t")):
+            own = values.isel(index).values
+            seen = period & (own > 0.0)
+            panel.plot(
+                (times[seen] - since) * by_time,
+                own[seen] * by_pressure,
+                color=colour,
+                marker="." if np.count_nonzero(seen) <= 12 else "",
+                label=f"{name}, {title}" if title else name,
+            )
+    panel.set(
+        xscale="log",
+        yscale="log",
+        xlabel=f"time since the rate change ({time})",
+        ylabel=f"Δp and dΔp/d ln t ({pressure})",
+    )
+    return panel
 
 
 def _least(dataset: xr.Dataset, well: str) -> float:

@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray as xr
+from matplotlib.figure import Figure
 
 from demflow import sweep
 from demflow.model.outcome import Status
@@ -39,6 +40,53 @@ def test_the_derivative_of_a_logarithm_is_its_slope():
     np.testing.assert_allclose(found.isel(rate=0), 2.0, rtol=1e-9)
     np.testing.assert_allclose(found.isel(rate=1), 5.0, rtol=1e-9)
     assert found.attrs["units"] == "Pa"
+
+
+def with_rates():
+    """Two good cases, and a derivative that is the slope of the change."""
+    dataset = invented().assign(status=("rate", np.full(2, Status.DONE, dtype=np.int8)))
+    return dataset.assign(
+        pressure_derivative=dataset.demflow.derivative(),
+        well_rate=(dataset["rate"] * xr.ones_like(dataset["pressure_change"])),
+    )
+
+
+def test_a_well_is_drawn_on_axes_of_the_callers_in_units_of_the_callers():
+    dataset = with_rates()
+    ax = Figure().subplots()
+    assert dataset.demflow.plot_well("p", ax, rate=1.1e-5, time="min", pressure="bar") is ax
+    change, derivative = ax.lines
+    times = dataset["elapsed_time"].values
+    np.testing.assert_allclose(change.get_xdata(), times / 60.0)
+    np.testing.assert_allclose(change.get_ydata(), 2.0 * np.log(times / 0.1) / 1e5)
+    np.testing.assert_allclose(derivative.get_ydata(), 2.0 / 1e5, rtol=1e-9)
+    assert (ax.get_xscale(), ax.get_yscale()) == ("log", "log")
+    assert "(min)" in ax.get_xlabel()
+    assert "(bar)" in ax.get_ylabel()
+    dataset.demflow.plot_well("p", ax, time="min", pressure="bar")  # both cases beside it
+    assert len(ax.lines) == 6
+    assert len({line.get_label() for line in ax.lines[2:]}) == 4
+
+
+def test_a_flow_period_is_drawn_by_itself():
+    dataset = with_rates()
+    late = dataset["elapsed_time"] > 100.0
+    built = dataset.assign(well_rate=dataset["well_rate"].where(~late, 0.0))
+    ax = Figure().subplots()
+    with pytest.raises(ResultsError, match="since= and until= of one flow period"):
+        built.demflow.plot_well("p", ax, rate=1e-5)
+    built.demflow.plot_well("p", ax, rate=1e-5, until=100.0)
+    built.demflow.plot_well("p", ax, rate=1e-5, since=100.0, time="s")
+    times = dataset["elapsed_time"].values
+    np.testing.assert_allclose(ax.lines[2].get_xdata(), times[times > 100.0] - 100.0)
+    for wrong, told in (
+        ({"well": "q"}, "there are p"),
+        ({"angle": 1.0}, "is no axis"),
+        ({"time": "bar"}, "no unit of a time"),
+        ({"since": 1e9}, "no time lies after"),
+    ):
+        with pytest.raises(ResultsError, match=told):
+            built.demflow.plot_well(**({"well": "p", "ax": ax} | wrong))
 
 
 def test_only_good_cases_keep_their_results():
