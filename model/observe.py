@@ -284,6 +284,8 @@ def _fractured(
         "shear_cracks": np.asarray(np.count_nonzero(events.mode == 2)),
         STOPPED: np.asarray(str(fractured.state.stopped)),
     }
+    if "well_pressure" in wanted and np.isfinite(fractured.highest).all():
+        found["highest_well_pressure"] = fractured.highest
     if not len(events.time):
         found = {name: array for name, array in found.items() if not name.startswith("event_")}
     if set(wanted) & set(OF_BREAKING):

@@ -356,6 +356,9 @@ CASE: dict[str, Quantity] = {
         "length of what broke, from pore to pore through each broken contact",
         ("crack_length",),
     ),
+    "highest_well_pressure": Quantity(
+        "Pa", ("well",), "highest pressure of the well after any step of a march through breaks"
+    ),
     "injected_volume": Quantity(
         "m3", ("elapsed_time",), "volume that the wells gave for unit depth", ("injected_volume",)
     ),

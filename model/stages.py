@@ -544,7 +544,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="fracture",
         function="demflow.model.coupling.fracture:fracture",
-        version=1,
+        version=2,
         parents=("pack", "calibrate", "fracture"),
         reads={
             "rock": _breaking_rock,

@@ -126,6 +126,7 @@ class March:
         self.events: list[Event] = []
         self.solves = self.steps = 0
         self.given_rate = np.zeros(len(given.case.storage))  # by wells at a pressure, last step
+        self.highest = np.full(len(given.well), -np.inf)  # pressure of each well after any step
         self.keepers = keepers
         walls = np.abs(self.case.load[-2:]) / np.sqrt(given.area)
         self.scale = max(float(walls.max()), 1e-9)  # of the pressures
@@ -282,6 +283,7 @@ class March:
         mass = state.mass + now.net
         given = np.where(wells.held, case.storage * now.p + case.pull @ now.u - mass, 0.0)
         mass = mass + given
+        self.highest = np.maximum(self.highest, now.p[self.given.well])
         ledger = self._booked(state, now, dt, wells, moved.pipe, moved.link, given, mass)
         error = self._error(state, now, dt)
         grow = GROWTH

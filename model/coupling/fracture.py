@@ -72,6 +72,7 @@ class Fracturing(NamedTuple):
     solved: Array  # () and solves with them
     steps: Array  # () balances that were found
     probe_place: Array  # (q, 2) m: of the pores whose pressures probes have
+    highest: Array  # (w,) Pa: pressure of each well after any step, between outputs too
     loose: Array  # () grains that came free and are held where they were
 
 
@@ -228,7 +229,9 @@ class _Recorder:
         changes, at = changes[: int(ended)], np.array([leg.end])[: int(ended)]
         events, march = self._events(), self.march
         factored, solved, steps = case.matrix.factored, case.matrix.solved, march.solves
+        highest = self.wet.initial + case.stiffness * march.highest
         if before is not None:
+            highest = np.maximum(highest, before.highest)
             records = _after(before.records, records)
             events = _after(before.events, events)
             changes = np.concatenate([before.at_changes, changes])
@@ -258,6 +261,7 @@ class _Recorder:
             solved=np.asarray(solved),
             steps=np.asarray(steps),
             probe_place=np.column_stack([net.x[self.probes], net.y[self.probes]]),
+            highest=highest,
             loose=np.asarray(np.count_nonzero(state.hold.grip[:-2:3] >= FIRM)),
         )
 

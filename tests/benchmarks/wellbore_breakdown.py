@@ -2,7 +2,8 @@
 
 Fluid is injected slowly into a hole of five mean radii under equal stresses until a fracture runs
 from it; T is what a test in direct tension measures on grains of the same packing and cement. The
-largest pressure of the well is read at the outputs, which are close.
+highest pressure of the well after any step is taken. The box is some 15 radii of the hole wide: a
+fracture grows some way before the pressure falls, and in a box of 10 the walls help it.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from tests.benchmarks.breaking_keeps_its_books import bored
 from tests.benchmarks.result import Result
 
 SEEDS = tuple(range(1, 11))
-STRESS, RADII, COUNT = 10e6, 5.0, 600
+STRESS, RADII, COUNT, RATE = 10e6, 5.0, 1500, -5e-4
 LOW, HIGH = 0.8, 1.1
 TIMES = tuple(np.round(np.arange(0.1, 2.01, 0.05), 3).tolist())
 
@@ -40,9 +41,9 @@ def ratio(seed: int) -> float:
     )
     strength = float(simulate(tested)["peak_strength"])
     radius = float(run_stages(tested)["pack"].radius.mean())
-    well = dataclasses.replace(scene.wells[0], radius=RADII * radius)
+    well = dataclasses.replace(scene.wells[0], radius=RADII * radius, rate=RATE)
     found = simulate(dataclasses.replace(scene, wells=(well,)))
-    return float(np.nanmax(found["well_pressure"])) / (2.0 * STRESS + strength)
+    return float(found["highest_well_pressure"][0]) / (2.0 * STRESS + strength)
 
 
 def run(seeds: tuple[int, ...] = SEEDS) -> Result:

@@ -48,6 +48,7 @@ def test_a_run_to_fracture_keeps_its_books():
     assert released[-1] == pytest.approx(events.energy[events.time > 0.0].sum())
     assert np.all(np.diff(kept.crack_length) >= 0.0)
     assert kept.well_pressure.max() > 10e6
+    assert found.highest[0] > 1.01 * kept.well_pressure.max()  # between outputs
     assert found.aperture.max() > 5e-5  # opened twice as wide as it was, and more
     lowest = float(found.state.p.min()) * 20e9
     assert lowest < -1e4  # what opens sucks, below any liquid
