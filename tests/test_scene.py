@@ -193,6 +193,24 @@ def test_contradictions_are_named_by_their_path(changed, path):
         assert path in problems(lambda: good(**changed))
 
 
+def test_a_hydraulic_conductivity_is_that_of_the_fluid():
+    """Darcy's law by heads: q = K h / L is k (ρ g h) / (μ L)."""
+    viscosity, density, conductivity = 1.3e-3, 1025.0, 2.4e-7
+    made = good(
+        matrix=Matrix(hydraulic_conductivity=conductivity),
+        fluid=Fluid(viscosity, 1e9, density),
+    )
+    head, length = 3.0, 7.0
+    assert made.matrix is not None
+    by_pressure = made.matrix.permeability / viscosity * (density * 9.80665 * head) / length
+    assert by_pressure == pytest.approx(conductivity * head / length, rel=1e-14)
+    same = good(matrix=Matrix(made.matrix.permeability), fluid=Fluid(viscosity, 1e9, density))
+    assert made == same  # so that both share what is computed
+    lacking = {"matrix": Matrix(hydraulic_conductivity=1e-7)}
+    assert "fluid.density" in problems(lambda: good(**lacking))
+    assert "fluid.density" in problems(lambda: good(**lacking, fluid=None))
+
+
 def test_all_contradictions_are_told_at_once():
     found = problems(
         lambda: good(
@@ -225,6 +243,7 @@ def test_all_contradictions_are_told_at_once():
         lambda: Grains(count=9, packing="periodic"),
         lambda: Matrix(),
         lambda: Matrix(permeability=1e-15, aperture=1e-5),
+        lambda: Matrix(permeability=1e-15, hydraulic_conductivity=1e-8),
         lambda: Trace(name="t", start=(0, 0), end=(1, 1)),
         lambda: Trace(name="t", aperture=1e-4, permeability=1e-12, start=(0, 0), end=(1, 1)),
         lambda: Trace(name="t", aperture=1e-4, start=(0.5, 0.5), end=(0.5, 0.5)),

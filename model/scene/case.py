@@ -17,6 +17,7 @@ from demflow.model.scene.flow import (
     Solver,
     Well,
     boundary_problems,
+    permeable,
     probe_problems,
     time_problems,
     well_problems,
@@ -112,6 +113,8 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.matrix is not None:  # a conductivity is another way to say a permeability
+            object.__setattr__(self, "matrix", permeable(self.matrix, self.fluid))
         rock = self.rock
         problems = [
             *grain_problems(self.grains, self.region),

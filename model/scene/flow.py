@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from demflow.model.region import Region, box_pairs, contains, distance_to_rim, o
 
 __all__ = [
     "LEAST_TOLERANCE",
+    "STANDARD_GRAVITY",
     "Boundary",
     "Fluid",
     "InitialField",
@@ -21,6 +22,7 @@ __all__ = [
     "Solver",
     "Well",
     "boundary_problems",
+    "permeable",
     "probe_problems",
     "time_problems",
     "well_problems",
@@ -28,19 +30,31 @@ __all__ = [
 
 Boundary = tuple[str, float]  # name of a side and the pressure that it keeps, Pa
 
+STANDARD_GRAVITY = 9.80665  # m/s², by which a hydraulic conductivity is one
+
 # Round-off of the factor and the projection leaves some thirteen digits.
 LEAST_TOLERANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
 class Matrix:
-    """The pipes of the rock between fractures. Give either `permeability` or `aperture`.
+    """The pipes of the rock between fractures.
 
-    A permeability fixes the aperture w0 of every pipe in the unstressed state.
+    Give `permeability`, `hydraulic_conductivity` or `aperture`. A permeability fixes the aperture
+    w0 of every pipe in the unstressed state. A conductivity K is that of the scene's fluid:
+    k = K μ / (ρ g), at standard gravity (Bear 1972, Dynamics of Fluids in Porous Media, 5.5).
     """
 
     permeability: float | None = parameter(
         "m2", default=None, above=0, help="matrix permeability, unstressed"
+    )
+    hydraulic_conductivity: float | None = parameter(
+        "m/s",
+        default=None,
+        above=0,
+        example="1e-7 m/s",
+        help="hydraulic conductivity K of the matrix for this fluid, unstressed: permeability "
+        "k = K μ / (ρ g), with the fluid's viscosity and density and g = 9.80665 m/s²",
     )
     aperture: float | None = parameter(
         "m",
@@ -70,8 +84,10 @@ class Matrix:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if (self.permeability is None) == (self.aperture is None):
-            raise SceneError([("permeability", "give either permeability or aperture")])
+        ways = (self.permeability, self.hydraulic_conductivity, self.aperture)
+        if sum(way is not None for way in ways) != 1:
+            what = "give one of permeability, hydraulic_conductivity or aperture"
+            raise SceneError([("permeability", what)])
         if self.half_force is not None and self.half_stress is not None:
             raise SceneError([("half_stress", "give either half_force or half_stress")])
 
@@ -86,6 +102,13 @@ class Fluid:
         above=0,
         example="2.2 GPa",
         help="bulk modulus K_f = 1 / compressibility",
+    )
+    density: float | None = parameter(
+        "kg/m3",
+        default=None,
+        above=0,
+        example="1000 kg/m3",
+        help="density ρ, which a hydraulic conductivity needs",
     )
 
     def __post_init__(self) -> None:
@@ -296,6 +319,26 @@ def probe_problems(probes: tuple[Probe, ...], region: Region) -> Problems:
     for probe, is_within in zip(probes, within, strict=True):
         if not is_within:
             yield f"probes.{probe.name}.at", "the probe lies outside the region"
+
+
+def permeable(matrix: Matrix, fluid: Fluid | None) -> Matrix:
+    """The matrix by its permeability where it was given by a hydraulic conductivity.
+
+    Parameters
+    ----------
+    matrix : as it was given
+    fluid : the one that the conductivity is of
+
+    Raises `SceneError` where viscosity or density are not known.
+    """
+    conductivity = matrix.hydraulic_conductivity
+    if conductivity is None:
+        return matrix
+    if fluid is None or fluid.density is None:
+        what = "matrix.hydraulic_conductivity is K = k ρ g / μ; give the fluid's density, or "
+        raise SceneError([("fluid.density", what + "matrix.permeability instead")])
+    permeability = conductivity * fluid.viscosity / (fluid.density * STANDARD_GRAVITY)
+    return replace(matrix, permeability=permeability, hydraulic_conductivity=None)
 
 
 def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Problems:

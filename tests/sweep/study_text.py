@@ -14,7 +14,7 @@ scene:
            modulus: 20 GPa, stiffness_ratio: 2.5, friction: 0.5, density: 2650 kg/m3}
   bonds: {kind: parallel, tensile_strength: 10 MPa, shear_strength: 20 MPa}   # optional
   stress: {xx: 20 MPa, yy: 10 MPa}             # optional; without it nothing mechanical is run
-  matrix:                                      # either permeability or aperture
+  matrix:                                      # permeability, hydraulic_conductivity or aperture
     permeability: 0.458 mD                     # w0 found from it, in the unstressed state
     half_force: 5 MN/m                         # F0; optional
     gap_factor: 0.5                            # m

@@ -64,7 +64,7 @@ MISTAKES = [
     ("to: [4, 2]", "to: [-3, 1]", "[-3, 1], aperture", "fractures.joint.to: the fracture has zero length"),
     ("rate: 1 bbl/day", "rate: 1, pressure: 5 MPa", "1, pressure", "give exactly one of rate, pressure, schedule"),
     ("{left: 7 MPa", "{inner: 7 MPa", "7 MPa, right", "the region has no such side"),
-    ("matrix: {permeability: 1 mD}", "matrix: {permeability: 1 mD, aperture: 1 um}", "1 mD", "give either permeability or aperture"),
+    ("matrix: {permeability: 1 mD}", "matrix: {permeability: 1 mD, aperture: 1 um}", "1 mD", "give one of permeability, hydraulic_conductivity or aperture"),
     ("  initial_pressure: 7 MPa\n", "", "scene:", "a transient starts from a pressure"),
 ]  # fmt: skip
 
