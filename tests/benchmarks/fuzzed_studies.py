@@ -1,7 +1,7 @@
 """Damaged studies, 50,000 of them: `demflow check` ends in clean words or success, quickly.
 
 Good studies are changed where it may hurt: keys, types, units, nesting, numbers, words, axes that
-reach into blocks that are not there. Each goes through the command itself. Whatever it ends in
+reach into blocks that are not there, laws, conditions, fits; the files beside them too. Each goes through the command itself. Whatever it ends in
 besides its two exit statuses is a fault; so are words that a terminal does not show, more than 1 s
 of processor time, and a process that comes to 200 MB. By itself the check takes a seed and a count:
 `python -m tests.benchmarks.fuzzed_studies --seed 7 --count 500`.
@@ -19,11 +19,11 @@ import tempfile
 import time
 import traceback
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from demflow.sweep.command import cli
 from tests.benchmarks.result import Result
-from tests.sweep.damaged_studies import damaged, studies
+from tests.sweep.damaged_studies import beside, damaged, studies
 
 COUNT, SECONDS, MEGABYTES = 50_000, 1.0, 200.0
 LONGEST = 200_000  # characters that a check may say
@@ -35,6 +35,16 @@ class Checked(NamedTuple):
     fault: str  # "" where there is none
     valid: bool
     seconds: float
+
+
+def written(good: list[Any], seed: int, number: int, folder: Path) -> Path:
+    """Write a damaged study and what lies beside it."""
+    chance = random.Random(f"{seed}/{number}")
+    path = folder / "study.yaml"
+    path.write_bytes(damaged(good, chance))
+    for name, content in beside(chance).items():
+        (folder / name).write_bytes(content)
+    return path
 
 
 def checked(path: Path) -> Checked:
@@ -63,10 +73,8 @@ def run(count: int = COUNT, seed: int = 1) -> Result:
     faults: list[str] = []
     slowest, valid = (0.0, 0), 0
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "study.yaml"
         for number in range(count):
-            path.write_bytes(damaged(good, random.Random(f"{seed}/{number}")))
-            one = checked(path)
+            one = checked(written(good, seed, number, Path(folder)))
             slowest = max(slowest, (one.seconds, number))
             valid += one.valid
             if one.fault:
@@ -86,10 +94,10 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--count", type=int, default=COUNT)
-    parser.add_argument("--keep", type=int, help="write one study of that number, and end")
+    parser.add_argument("--keep", nargs=2, metavar=("NUMBER", "FOLDER"), help="write one, and end")
     asked = parser.parse_args()
     if asked.keep is not None:
-        sys.stdout.buffer.write(damaged(studies(), random.Random(f"{asked.seed}/{asked.keep}")))
+        written(studies(), asked.seed, int(asked.keep[0]), Path(asked.keep[1]))
         sys.exit()
     result = run(asked.count, asked.seed)
     print(result.details, result.line, sep="\n")

@@ -19,6 +19,14 @@ from typing import Any
 import yaml
 
 from demflow.sweep.study.blocks import Block, Named
+from demflow.sweep.study.expect import EXPECT
+from demflow.sweep.study.fits import FIT
+from demflow.sweep.study.laws import FORMS, keys_of
+from demflow.sweep.study.load import FIGURES, LIMITS
+from demflow.sweep.study.measured import DATA
+from demflow.sweep.study.notes import REPORT
+from demflow.sweep.study.reservoir import MODEL_PARAMETERS
+from demflow.sweep.study.samples import SAMPLE
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import UNITS
@@ -31,9 +39,94 @@ RANDOM = SMALL.replace(
     random: {kind: set, seed: 1, intensity: 0.5 1/m, length: {power_law: 2.2, from: 1 m, to: 9 m},
              angle: {von_mises: 10, mean: 60 deg}, aperture: {log_normal: 0.5, median: 80 um}}
     bent: {kind: trace, vertices: [[0 m, 0 m], [1 m, 0.2 m], [2 m, 0 m]], aperture: 100 um}
-    map: {kind: traces, file: none.geojson, origin: centroid, snap: 1 mm, aperture: 100 um}
+    map: {kind: traces, file: none.geojson, origin: centroid, snap: 1 mm, unit: 1 m,
+          aperture: 100 um}
 """,
 )
+# a study of uncertain parameters with a measured test, wells with limits, and most other keys
+DRAWN = """\
+study: drawn
+scene:
+  region: {shape: rectangle, width: 14 m, height: 14 m}
+  grains: {count: 500, porosity: 0.17, modulus: 20 GPa,
+           refine: [{around: wells, within: 2 m, factor: 2}]}
+  bonds: {kind: parallel, tensile_strength: 10 MPa, shear_strength: 20 MPa}
+  stress: {xx: 20 MPa, yy: 10 MPa}
+  gravity: 9.81 m/s2
+  excavate:
+    - {shape: circle, name: drift, at: [-3 m, -3 m], radius: 1 m}
+    - {shape: rectangle, name: room, at: [3 m, 3 m], width: 1 m, height: 1 m}
+  matrix: {permeability: 1 mD, half_stress: 10 MPa}
+  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}
+  fractures:
+    a: {kind: trace, from: [-3 m, 1 m], to: [4 m, 2 m], aperture: 100 um,
+        closure: {table: [[0 MPa, 100 um], [5 MPa, 60 um], [20 MPa, 30 um]]}}
+    b: {kind: set, angle: 65 deg, length: 5 m, spacing: 2 m, aperture: 90 um,
+        closure: {barton_bandis: {jrc: 8, jcs: 80 MPa}}}
+    c: {kind: trace, from: [-4 m, 4 m], to: [-1 m, 5 m], aperture: 80 um,
+        closure: {stiffness: 1 GPa/m, largest_closure: 50 um}}
+    d: {kind: trace, from: [-4 m, 2 m], to: [-1 m, 3 m], aperture: 80 um, closure: none}
+  wells:
+    producer: {at: [0 m, 0 m], radius: 0.3 m, rate: 1e-6 m3/s, least_pressure: 2 MPa}
+    injector: {at: [2 m, -3 m], radius: 0.3 m, schedule: [[0 s, 0 m3/s], [2 h, -1e-6 m3/s]],
+               largest_pressure: 12 MPa}
+    left: {at: [-5 m, 0 m], radius: 0.2 m, rate: 1e-7 m3/s, group: field}
+    right: {at: [5 m, 0 m], radius: 0.2 m, rate: 1e-7 m3/s, group: field}
+  boundaries: {left: 7 MPa, drift: 0 Pa}
+  probes: {p: {at: [3 m, 0 m]}}
+  initial_pressure: 7 MPa
+  times: [1 s, 1 min, 1 h, 1 d]
+vary:
+  closed: {parameter: fractures.b.aperture, distribution: {log_normal: 0.4, median: 80 um}}
+  rate: {parameter: wells.producer.rate, distribution: {uniform: [1e-7 m3/s, 2e-6 m3/s]}}
+  mode: {parameter: fluid.viscosity, distribution: {triangular: [0.5 cP, 1 cP, 3 cP]}}
+  yy: {parameter: stress.yy, values: [5 MPa, 10 MPa]}
+  xx: {parameter: stress.xx, file: points.csv}
+sample: {count: 16, method: latin_hypercube, seed: 3}
+where: [xx >= yy, yy < 2 * xx or yy != 5 MPa]
+observe: [well_pressure, probe_pressure, pressure_map, boundary_flow]
+solver: {method: krylov, tolerance: 1e-3}
+limits: {time: 1 h, memory: 2 GB}
+figures: {maps: [1 h]}
+report: {notes: notes.md}
+expect: {status: done}
+data:
+  test: {file: gauge.csv, time: "t [h]", pressure: "p [psi]", well: producer, outliers: keep,
+         rates: [[0 s, 1e-6 m3/s], [2 h, 0 m3/s]]}
+smoke: {grains.count: 100, sample.count: 8, vary.yy: [5 MPa]}
+"""
+# one with a fit of its own scene, and one whose grains and fluid move together
+FITTED = (
+    SMALL[: SMALL.index("vary:")]
+    + """observe: [well_pressure]
+data: {test: {file: gauge.csv, rates: rates.csv, well: producer}}
+fit:
+  to: data.test
+  profile: true
+  reservoir: {thickness: 4 m, volume_factor: 1.0}
+  parameters: {matrix.permeability: [0.5 mD, 50 mD], wells.producer.skin_factor: [-2, 20]}
+"""
+)
+MODELLED = """\
+study: modelled
+data: {test: {file: gauge.csv, time: "t [h]", pressure: "p [psi]", rates: [[0 s, 10 m3/d]]}}
+fit:
+  to: data.test
+  models: [homogeneous, fault]
+  reservoir: {porosity: 0.2, viscosity: 1 cP, compressibility: 1e-9 1/Pa, well_radius: 0.1 m,
+              thickness: 10 m}
+  parameters: {permeability: [1 mD, 1000 mD], skin_factor: [-4, 20],
+               wellbore_storage: [1e-10 m3/Pa, 1e-6 m3/Pa], initial_pressure: [20 MPa, 40 MPa],
+               distance: [5 m, 1000 m]}
+"""
+# what lies beside a study
+FILES = {
+    "gauge.csv": b"t [h],p [psi]\n0,3000\n1,2950\n2,2930\n2,2930\n3,2990\n",
+    "rates.csv": b"time [h];rate [m3/d]\n0;10\n2;0\n",
+    "points.csv": b"stress.xx [MPa]\n10\n20\n30\n",
+    "notes.md": b"# What is asked\n\nHow *much* flows, and [where](https://example.org)?\n",
+    "none.geojson": b'{"type": "LineString", "coordinates": [[0, 0], [3, 1], [5, -2]]}',
+}
 STUDIES = Path(__file__).parents[2] / "studies"
 PLAIN = re.compile(r"[A-Za-z0-9.+][A-Za-z0-9 ./^+-]*")
 
@@ -58,7 +151,13 @@ KEYS = [
     *("study", "scene", "vary", "observe", "smoke", "solver", "limits", "figures", "expect"),
     *("variants", "values", "parameter", "parameters", "from", "to", "count", "spacing", "kind"),
     *("shape", "name", "at", "angle", "status", "message", "x", "method", "skin", "x" * 300),
+    *("sample", "where", "data", "fit", "report", "distribution", "file", "columns", "weights"),
+    *("to", "model", "models", "closure", "table", "law", "group", "least_pressure", "coupling"),
+    *("excavate", "gravity", "notes", "rates", "within", *FORMS),
 ]
+
+
+EXAMPLES = (EXAMPLE, SMALL, RANDOM, DRAWN, DRAWN, DRAWN, FITTED, MODELLED)
 
 
 def studies() -> list[Any]:
@@ -66,7 +165,7 @@ def studies() -> list[Any]:
     texts = [path.read_text() for path in sorted(STUDIES.glob("*.yaml"))]
     # every scalar as text
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
-    return [yaml.load(text, Loader=loader) for text in (*texts, EXAMPLE, SMALL, RANDOM)]
+    return [yaml.load(text, Loader=loader) for text in (*texts, *EXAMPLES)]
 
 
 def damaged(good: list[Any], chance: random.Random) -> bytes:
@@ -78,6 +177,14 @@ def damaged(good: list[Any], chance: random.Random) -> bytes:
     while chance.random() < 0.1:
         written = _torn(written, chance)
     return written
+
+
+def beside(chance: random.Random) -> dict[str, bytes]:
+    """What lies beside a study, by name, now and then torn."""
+    return {
+        name: _torn(content, chance) if chance.random() < 0.2 else content
+        for name, content in FILES.items()
+    }
 
 
 def text(tree: Any, chance: random.Random) -> str:
@@ -319,7 +426,78 @@ def _block(tree: Any, chance: random.Random) -> None:
     inside[last] = _quantity(chance) if chance.random() < 0.6 else _any_value(chance)
 
 
+def _law(tree: Any, chance: random.Random) -> None:
+    """One axis more whose values are drawn, by a law that is right more often than not."""
+
+    def own(path: str) -> str:
+        fits = "1e-5" if chance.random() < 0.5 else _quantity(chance)
+        return fits if "." in path else _quantity(chance)
+
+    path = _any_path(tree, chance)
+    law: dict[str, Any] = {}
+    for key in chance.choice([keys_of(name) for name in FORMS]):
+        many = key in ("uniform", "log_uniform", "triangular", "discrete", "weights", "within")
+        count = chance.choice((0, 1, 2, 2, 2, 3, 3))
+        if chance.random() < 0.9:
+            law[key] = [own(path) for _ in range(count)] if many else own(path)
+    axis: dict[str, Any] = {"parameter": path, "distribution": law}
+    if chance.random() < 0.2:
+        axis |= {chance.choice(("count", "values", "file", "columns", "spacing")): own(path)}
+    if chance.random() < 0.1:
+        axis["distribution"] = _any_value(chance)
+    _inside(tree, "vary", chance)[chance.choice(("a", "b", "sample", "xx", "é"))] = axis
+    if chance.random() < 0.8:
+        _part(tree, "sample", SAMPLE, chance)
+
+
+def _part(tree: Any, key: str, section: Section, chance: random.Random) -> None:
+    """One value of a block at the top of a study, whatever it has."""
+    inside = _inside(tree, key, chance)
+    *parts, last = chance.choice([*_paths(section, "", ("test", "p"))]).split(".")
+    for part in parts:
+        inside = _inside(inside, part, chance)
+    counts = ("2", "16", "17", "1e9", "-1", "0")
+    inside[last] = chance.choice(
+        (*counts, _quantity(chance), _quantity(chance), _any_value(chance), chance.choice([*FILES]))
+    )
+
+
+def _own_blocks(tree: Any, chance: random.Random) -> None:
+    sections = {
+        **{"sample": SAMPLE, "expect": EXPECT, "report": REPORT, "limits": LIMITS, "fit": FIT},
+        **{"figures": FIGURES, "data": Named(DATA)},
+    }
+    key = chance.choice([*sections])
+    _part(tree, key, sections[key], chance)
+
+
+def _fitted(tree: Any, chance: random.Random) -> None:
+    """Something else to fit, between any bounds."""
+    fit = _inside(tree, "fit", chance)
+    inside = _inside(fit, "parameters", chance)
+    names = [_any_path(tree, chance), *(name for own in MODEL_PARAMETERS.values() for name in own)]
+    bounds = [_quantity(chance) for _ in range(chance.choice((0, 1, 2, 2, 2, 3)))]
+    inside[chance.choice(names)] = bounds if chance.random() < 0.8 else _any_value(chance)
+    if chance.random() < 0.3:
+        fit["models"] = [chance.choice([*MODEL_PARAMETERS, *WORDS[:20]]) for _ in "ab"]
+
+
+def _where(tree: Any, chance: random.Random) -> None:
+    """A condition of words that conditions have, in any order."""
+    axes = tree.get("vary") if isinstance(tree, dict) else None
+    names = [str(name) for name in axes][:9] if isinstance(axes, dict) else []
+    words = [*"()<>=*", *("<=", ">=", "!=", "==", "and", "or", "not", "((((", "(" * 60)]
+    words += [*names * 4, "sample", "x", *NUMBERS[:12], _quantity(chance), *WORDS[:12]]
+    said = " ".join(chance.choice(words) for _ in range(chance.choice((1, 3, 3, 3, 7, 7, 400))))
+    if isinstance(tree, dict):
+        if names and chance.random() < 0.5:
+            sign = chance.choice(("<", "<=", ">", "!=", "==", "="))
+            said = f"{chance.choice(names)} {sign} {chance.choice([*names, _quantity(chance)])}"
+        tree["where"] = said if chance.random() < 0.7 else [said, _any_value(chance)]
+
+
 DAMAGES = (
+    *(_law, _law, _own_blocks, _own_blocks, _fitted, _where),
     *(_another_value, _another_number, _another_number, _without, _without, _misspelt, _exchanged),
     *(_nested, _many, _axis, _axis, _axis, _variants, _variants, _smoke, _block, _block),
 )
