@@ -1,10 +1,11 @@
 """Damaged studies, 50,000 of them: `demflow check` ends in clean words or success, quickly.
 
 Good studies are changed where it may hurt: keys, types, units, nesting, numbers, words, axes that
-reach into blocks that are not there, laws, conditions, fits; the files beside them too. Each goes through the command itself. Whatever it ends in
-besides its two exit statuses is a fault; so are words that a terminal does not show, more than 1 s
-of processor time, and a process that comes to 200 MB. By itself the check takes a seed and a count:
-`python -m tests.benchmarks.fuzzed_studies --seed 7 --count 500`.
+reach into blocks that are not there, laws, conditions, fits; the files beside them too. Each goes
+through the command itself. Whatever it ends in besides its two exit statuses is a fault; so are
+words that a terminal does not show, more than 1 s of processor time, and a process that comes to
+200 MB. By itself the check takes a seed and a count: `python -m tests.benchmarks.fuzzed_studies
+--seed 7 --count 500`.
 """
 
 from __future__ import annotations

@@ -248,6 +248,13 @@ def _spots(tree: Any) -> Iterator[Spot]:
             yield from _spots(tree[key])
 
 
+def numbers_of(tree: Any) -> Iterator[Spot]:
+    """Where texts begin as a number does."""
+    for inside, key in _spots(tree):
+        if isinstance(inside[key], str) and inside[key][:1].isdigit():
+            yield inside, key
+
+
 def _spot(tree: Any, chance: random.Random) -> Spot:
     """Somewhere: at the top as often as deep down, so that blocks change as often as numbers."""
     spots = list(_spots(tree))
@@ -281,7 +288,7 @@ def _another_value(tree: Any, chance: random.Random) -> None:
 
 def _another_number(tree: Any, chance: random.Random) -> None:
     """One number with its unit kept, or one unit with its number."""
-    spots = [s for s in _spots(tree) if isinstance(s[0][s[1]], str) and s[0][s[1]][:1].isdigit()]
+    spots = [*numbers_of(tree)]
     if spots:
         inside, key = chance.choice(spots)
         number, _, unit = inside[key].partition(" ")
