@@ -86,7 +86,11 @@ CASE: dict[str, Quantity] = {
         "change of rate before it counts; by the time itself where rates of both signs came before",
     ),
     "permeability": Quantity(
-        "m2", ("row", "column"), "permeability tensor of the region", ("permeability",)
+        "m2",
+        ("row", "column"),
+        "permeability tensor of the region",
+        ("permeability",),
+        comment="with a pressure linear along the rim: an upper bound where fractures meet it",
     ),
     "boundary_flow": Quantity(
         "m3 s-1",
