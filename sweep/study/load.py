@@ -65,7 +65,7 @@ __all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyE
 DAY = 86400.0  # s
 MOST_COMBINATIONS = 2_000  # checked one by one before anything runs
 NAMED = ("wells", "fractures", "probes")
-MANY_NAMES = 50  # of them, from which on fewer combinations are checked
+MANY_NAMES = 10  # of them, from which on fewer combinations are checked
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
     *("sample", "where", "limits", "figures", "report", "expect", "smoke"),
