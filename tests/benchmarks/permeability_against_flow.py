@@ -4,8 +4,8 @@ The twelve states of the quickstart (angles, apertures, stresses) in SEEDS packi
 the area of its circle. Two flows of the same rock are held against the tensor: that of a pressure
 p = −x or p = −y along the whole rim, in steps of a pore, whose Σ q p is the dissipation, where
 fractures leave through sides on which that is exact (elsewhere a step moves what they carry by
-some percent); and that of a sealed bar, between two sides at fixed pressures, against the flow of a homogeneous square
-that has the tensor. GRAINS (of the environment) makes the packings smaller,
+some percent); and that of a sealed bar, between two sides at fixed pressures, against the flow of
+a homogeneous square that has the tensor. GRAINS (of the environment) makes the packings smaller,
 SEEDS and STEPS choose others and other steps.
 """
 
