@@ -167,7 +167,7 @@ def __getattr__(name: str) -> Any:
 
 def _needs_permeability(scene: Scene) -> bool:
     return scene.porous and (
-        (scene.matrix is not None and scene.matrix.permeability is not None)
+        (scene.pipes is not None and scene.pipes.permeability is not None)
         or any(fracture.permeability is not None for fracture in scene.fractures)
     )
 
@@ -234,12 +234,12 @@ def _breaking_rock(scene: Scene) -> Any:
 
 def _breaking_fluid(scene: Scene) -> Any:
     """Its fluid and the pipes of its matrix."""
-    if scene.fluid is None or scene.matrix is None or scene.coupling is None:
+    if scene.fluid is None or scene.pipes is None or scene.coupling is None:
         return None
     return BreakingFluid(
         scene.fluid.viscosity,
         scene.fluid.bulk_modulus,
-        scene.matrix,
+        scene.pipes,
         scene.uniform_pressure or 0.0,
         scene.coupling.least_pressure,
         scene.boundaries,
@@ -287,7 +287,7 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
 
 _FAMILY_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.rock,
-    "matrix": lambda s: s.matrix,
+    "matrix": lambda s: s.pipes,
     "viscosity": _viscosity,
     "fractures": lambda s: alike(s.fractures),
     "asked": asked,
@@ -436,7 +436,7 @@ STAGES: tuple[Stage, ...] = (
         parents=("network", "walk", "stress", "calibrate"),
         reads={
             "region": lambda s: s.rock,
-            "matrix": lambda s: s.matrix,
+            "matrix": lambda s: s.pipes,
             "fractures": lambda s: s.fractures,
             "viscosity": _viscosity,
         },
@@ -516,7 +516,7 @@ STAGES: tuple[Stage, ...] = (
         parents=("pack", "network", "walk", "stress", "calibrate"),
         reads={
             "region": lambda s: s.region,
-            "matrix": lambda s: s.matrix,
+            "matrix": lambda s: s.pipes,
             "fractures": lambda s: s.fractures,
             "viscosity": _viscosity,
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

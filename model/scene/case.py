@@ -17,6 +17,7 @@ from demflow.model.scene.flow import (
     Solver,
     Well,
     boundary_problems,
+    conductivity_problems,
     permeable,
     probe_problems,
     time_problems,
@@ -113,8 +114,6 @@ class Scene:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.matrix is not None:  # a conductivity is another way to say a permeability
-            object.__setattr__(self, "matrix", permeable(self.matrix, self.fluid))
         rock = self.rock
         problems = [
             *grain_problems(self.grains, self.region),
@@ -134,6 +133,7 @@ class Scene:
             *fracture_problems(self.fractures, rock),
             *probe_problems(self.probes, rock),
             *boundary_problems(self.boundaries, rock),
+            *conductivity_problems(self.matrix, self.fluid),
             *self._name_problems(),
             *self._observed_problems(),
             *self._part_problems(),
@@ -149,6 +149,11 @@ class Scene:
     def rock(self) -> Region:
         """The region without what is excavated."""
         return Pierced(self.region, holes_of(self.excavate)) if self.excavate else self.region
+
+    @property
+    def pipes(self) -> Matrix | None:
+        """The matrix by its permeability or aperture, also where a conductivity was given."""
+        return None if self.matrix is None else permeable(self.matrix, self.fluid)
 
     @property
     def ground(self) -> Ground | None:
@@ -222,7 +227,7 @@ class Scene:
         changes = [p - start for p in kept] if self.uniform_pressure is not None else []
         changes += [0.5 * load for changes in self.loads or () for _, load in changes]
         return reckoned(
-            self.region, self.grains, self.matrix, self.fluid, self.stress, tuple(changes),
+            self.region, self.grains, self.pipes, self.fluid, self.stress, tuple(changes),
             self.wells,
         )  # fmt: skip
 

@@ -22,6 +22,7 @@ __all__ = [
     "Solver",
     "Well",
     "boundary_problems",
+    "conductivity_problems",
     "permeable",
     "probe_problems",
     "time_problems",
@@ -327,18 +328,21 @@ def permeable(matrix: Matrix, fluid: Fluid | None) -> Matrix:
     Parameters
     ----------
     matrix : as it was given
-    fluid : the one that the conductivity is of
-
-    Raises `SceneError` where viscosity or density are not known.
+    fluid : the one that the conductivity is of; without its density there is no permeability
     """
     conductivity = matrix.hydraulic_conductivity
-    if conductivity is None:
+    if conductivity is None or fluid is None or fluid.density is None:
         return matrix
-    if fluid is None or fluid.density is None:
-        what = "matrix.hydraulic_conductivity is K = k ρ g / μ; give the fluid's density, or "
-        raise SceneError([("fluid.density", what + "matrix.permeability instead")])
     permeability = conductivity * fluid.viscosity / (fluid.density * STANDARD_GRAVITY)
     return replace(matrix, permeability=permeability, hydraulic_conductivity=None)
+
+
+def conductivity_problems(matrix: Matrix | None, fluid: Fluid | None) -> Problems:
+    """A hydraulic conductivity of a fluid whose weight is not known."""
+    given = matrix is not None and matrix.hydraulic_conductivity is not None
+    if given and (fluid is None or fluid.density is None):
+        what = "matrix.hydraulic_conductivity is K = k ρ g / μ; give the fluid's density, or "
+        yield "fluid.density", what + "matrix.permeability instead"
 
 
 def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Problems:

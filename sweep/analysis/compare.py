@@ -111,7 +111,7 @@ def initial_pressure_of(scene: Scene) -> float:
 
 def compared_permeability(scene: Scene, case: xr.Dataset) -> float:
     """Permeability for t_D and Darcy's law, m²: as asked for, or as measured under stress."""
-    matrix = scene.matrix
+    matrix = scene.pipes
     if matrix is not None and matrix.permeability is not None and scene.stress is None:
         return matrix.permeability
     if "permeability" not in case:

@@ -35,7 +35,7 @@ def told_closures(study: Study) -> list[str]:
         for fracture in scene.fractures
         if fracture.part == "trace" and not (fracture.closure and fracture.closure.closes)
     ]
-    matrix = scene.matrix
+    matrix = scene.pipes
     if scene.porous and matrix and matrix.half_force is None and matrix.half_stress is None:
         told.append(f"matrix: {stays}, for it has neither half_stress nor half_force")
     return told
