@@ -5,7 +5,7 @@ and nobody says so. Runs under which a worker died are tried again, each alone o
 run is blamed once the deaths of the workers that it was alone on are beyond chance: workers
 that are ended from outside at a rate λ die k times or more in a time T with the probability
 
-    P(N ≥ k) = 1 - Σ_{j<k} e^{-μ} μ^j / j!,   μ = λ T
+    P(N ≥ k) = 1 - Σ_{j<k} e^{-μ} μ^j / j! = γ(k, μ) / Γ(k),   μ = λ T
 
 (Poisson). λ is the rate at which workers died without this run. Where none did in the rest T of
 the time, λ is known to be small only, with a density T e^{-λT}; then
@@ -71,10 +71,6 @@ class Blame:
 
 def by_chance(count: int, mean: float) -> float:
     """P(N ≥ count) of a Poisson law of the given mean."""
-    if math.isinf(mean):
-        return 1.0
-    term, below = math.exp(-mean), 0.0
-    for j in range(count):
-        below += term
-        term *= mean / (j + 1)
-    return max(0.0, 1.0 - below)
+    from scipy.special import gammainc  # 10 MB, for runs whose workers die
+
+    return float(gammainc(count, mean))

@@ -65,34 +65,27 @@ class Ledger:
         try:
             self.store.accept(files)
         except DamagedError as error:
-            self.count_loss(outcomes[0].run, f"a product came damaged from a worker: {error}")
+            self._count_loss(outcomes[0].run, f"a product came damaged from a worker: {error}")
             return False
         return True
 
     def enter(self, outcome: Outcome) -> None:
         """A worker told how a run ended."""
         if outcome.status is Status.DONE:
-            # what a worker on another kind of machine took is no measure of this one
-            here = outcome.machine in ("", machine())
             spent = outcome.seconds, outcome.stored, outcome.memory, outcome.compiled
-            self._done(outcome.run, *spent, here=here)
+            # what a worker on another kind of machine took is no measure of this one
+            self._done(outcome.run, *spent, here=outcome.machine in ("", machine()))
         else:
             self._fail(outcome.run)
 
-    def lost(self, run: int, identity: str, message: str) -> None:
-        """The product of a run's parent turned out missing or damaged.
-
-        Parameters
-        ----------
-        run : number of the run in the plan
-        identity : of the product
-        message : what is wrong with it
-        """
-        parents = [p for p in self.plan.runs[run].parents if p >= 0]
-        parent = next(p for p in parents if self.plan.runs[p].id == identity)
+    def lost(self, outcome: Outcome) -> None:
+        """A run missed a parent: where it lay, or on its way to a worker without a store."""
+        parents = [p for p in self.plan.runs[outcome.run].parents if p >= 0]
+        parent = next(p for p in parents if self.plan.runs[p].id == outcome.lost)
         if self.schedule.is_done(parent):
-            self.count_loss(parent, message)
-            self.schedule.lost(parent)
+            self._count_loss(parent, outcome.message)
+            if self._product_file(parent) is None:  # a damaged one was set aside
+                self.schedule.lost(parent)
 
     def find_stored(self, run: int) -> None:
         """Count a run as done whose worker stored its product and died before it said so."""
@@ -122,7 +115,7 @@ class Ledger:
         self.report.failed += 1
         self.schedule.failed(run)
 
-    def count_loss(self, run: int, message: str) -> None:
+    def _count_loss(self, run: int, message: str) -> None:
         """Note a product that has to be computed again. Raises RunError if it happens often."""
         self._losses[run] = self._losses.get(run, 0) + 1
         if self._losses[run] > LOST_PRODUCTS:

@@ -23,16 +23,8 @@ from demflow.sweep.execution.pool import Pool
 START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, should it be killed meanwhile
 
 # One thread per worker, whatever library it comes from; set before the workers start.
-ONE_THREAD = {
-    name: "1"
-    for name in (
-        "NUMBA_NUM_THREADS",
-        "OMP_NUM_THREADS",
-        "OPENBLAS_NUM_THREADS",
-        "MKL_NUM_THREADS",
-        "VECLIB_MAXIMUM_THREADS",
-    )
-}
+THREADS = "NUMBA_NUM", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"
+ONE_THREAD = {f"{name}_THREADS": "1" for name in THREADS}
 
 SETTINGS: dict[str, Any] = {
     # a death is ours to judge: Dask must neither retry nor blame, nor take a worker that is

@@ -301,15 +301,14 @@ class _Execution:
             self._end(worker, Verdict(Status.NOT_RUN, "what was sent to it is gone"))
             raise
         except ParentLostError as lost:
-            self.ledger.lost(lost.run, lost.identity, str(lost))
-            answer = [Outcome(lost.run, Status.NOT_RUN)]
+            answer = list(lost.args)
         worker.runs = ()
         self._settle(worker, runs, answer)
 
     async def _do(self, worker: _Worker) -> list[Outcome]:
         """Send a worker its lot; what it answers. Raises NoAnswerError, ParentLostError."""
-        room = self.judge.memory(worker.known)
-        lot = self.lots.make(worker.runs, room, worker.runs[0] in self.schedule.suspects)
+        bound, afresh = self.judge.memory(worker.known), worker.runs[0] in self.schedule.suspects
+        lot = self.lots.make(worker.runs, memory=bound, afresh=afresh)
         files = await self.lots.files(worker.address, lot)
         answer = asyncio.ensure_future(self.pool.call(worker.address, run_lot, lot, files))
         try:
@@ -346,10 +345,8 @@ class _Execution:
             for outcome in answer:
                 if outcome.status is not Status.NOT_RUN:
                     self.ledger.enter(outcome)
-                elif outcome.lost and self.pool.shares_store:
-                    self.ledger.lost(outcome.run, outcome.lost, outcome.message)
                 elif outcome.lost:
-                    self.ledger.count_loss(outcome.run, outcome.message)
+                    self.ledger.lost(outcome)
                     self.lots.forget()
         self.schedule.again(runs)
         self._advance()

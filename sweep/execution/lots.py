@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Any
 from distributed import Future
 from zict import LRU
 
+from demflow.model.outcome import Status
 from demflow.sweep.execution.pool import NoAnswerError, Pool
 from demflow.sweep.execution.schedule import LONGEST_SECONDS
-from demflow.sweep.execution.worker import Lot, Task
+from demflow.sweep.execution.worker import Lot, Outcome, Task
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.products import DamagedError, MissingError, Store
 
@@ -21,11 +22,7 @@ SENT_BYTES = 100_000_000  # of products that are held on a cluster, each on the 
 
 
 class ParentLostError(Exception):
-    """A product that a run is to be sent is missing or damaged."""
-
-    def __init__(self, run: int, identity: str, message: str):
-        super().__init__(message)
-        self.run, self.identity = run, identity
+    """A product that a run is to be sent is missing or damaged: how that run ended."""
 
 
 class Lots:
@@ -51,18 +48,11 @@ class Lots:
         )
         self._sendings = 0
 
-    def make(self, runs: tuple[int, ...], memory: float | None, afresh: bool) -> Lot:
-        """The lot of some runs; `Lot` says what the others are.
-
-        Parameters
-        ----------
-        runs : of the plan
-        memory : limit of one case, bytes, or None
-        afresh : whether the worker forgets what it holds
-        """
+    def make(self, runs: tuple[int, ...], **bounds: Any) -> Lot:
+        """The lot of some runs, within bounds that `Lot` names."""
         store = str(self.store.root.resolve()) if self.pool.shares_store else None
         tasks = tuple(map(self._task, runs))
-        return Lot(store, self.table, tasks, memory, LONGEST_SECONDS, afresh)
+        return Lot(store, self.table, tasks, longest=LONGEST_SECONDS, **bounds)
 
     def _task(self, run: int) -> Task:
         entry, stage = self.plan.runs[run], self.plan.stage_of(run)
@@ -88,7 +78,8 @@ class Lots:
             try:
                 content = self.store.content(identity)
             except (MissingError, DamagedError) as error:
-                raise ParentLostError(taken[identity], identity, str(error)) from error
+                ended = Outcome(taken[identity], Status.NOT_RUN, str(error), lost=identity)
+                raise ParentLostError(ended) from error
             # a name of its own each time: Dask may hear that the one before is forgotten only
             # after it has heard of this one, and would forget this one
             self._sendings += 1

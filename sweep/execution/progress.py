@@ -60,9 +60,8 @@ class ProgressLine:
         padding = " " * max(self._width - len(text), 0)
         self._width = len(text)
         if self.coloured and progress.failed:
-            text = text.replace(
-                f"{progress.failed} failed", f"\033[31m{progress.failed} failed\033[0m"
-            )
+            failed = f"{progress.failed} failed"
+            text = text.replace(failed, f"\033[31m{failed}\033[0m")
         print(f"\r{text}{padding}", end="", file=self.stream, flush=True)
 
     def close(self) -> None:
@@ -89,17 +88,14 @@ def line(progress: Progress) -> str:
     elif progress.seconds_left is None:
         told += ", time to go unknown yet"
     else:
-        told += f", {_span(progress.seconds_left)} to go"
+        left = progress.seconds_left
+        told += f", {'less than a second' if left < 1.0 else duration(left)} to go"
     if progress.still > STILL_SECONDS:
         ended = f", {progress.deaths} have died" if progress.deaths else ""
         told += (
             f" (last progress {duration(progress.still)} ago; workers: {progress.workers}{ended})"
         )
     return told
-
-
-def _span(seconds: float) -> str:
-    return "less than a second" if seconds < 1.0 else duration(seconds)
 
 
 def duration(seconds: float | None) -> str:
@@ -118,8 +114,7 @@ def duration(seconds: float | None) -> str:
 
 def size(count: float) -> str:
     """Return a number of bytes as people say it: 3.1 MB."""
-    for unit in ("B", "kB", "MB", "GB"):
-        if count < 999.5 or unit == "GB":
-            return f"{count:.0f} {unit}" if unit == "B" or count >= 99.5 else f"{count:.1f} {unit}"
-        count /= 1000
-    raise AssertionError("unreachable")
+    step = sum(count >= 999.5 * 1000**power for power in range(3))
+    count /= 1000**step
+    whole = step == 0 or count >= 99.5
+    return f"{count:.{0 if whole else 1}f} {('B', 'kB', 'MB', 'GB')[step]}"

@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -136,33 +136,14 @@ class Schedule:
                     heapq.heappush(chain, (self.plan.runs[child].case, child))
         return tuple(runs)
 
-    def done(
-        self,
-        run: int,
-        seconds: float | None = None,
-        stored: int = 0,
-        memory: int = 0,
-        compiled: bool = False,
-        *,
-        here: bool = True,
-    ) -> None:
-        """A run has stored its product; what it took in s and bytes, where that is known.
+    def done(self, run: int, *spent: Any, here: bool = True) -> None:
+        """A run has stored its product; what it took, as `Costs.add` wants it.
 
         What it took elsewhere than `here` counts for this run of the study alone.
-
-        Parameters
-        ----------
-        run : number of the run in the plan
-        seconds : s that it took
-        stored : bytes of its product
-        memory : bytes that the process had at most
-        compiled : whether kernels were compiled in it
-        here : whether in this very run of the study
         """
         self.state[run] = State.DONE
-        if seconds is not None:
-            for costs in (self._measured, *([self.costs] if here else [])):
-                costs.add(self.plan.runs[run].kind, seconds, stored, memory, compiled)
+        for costs in (self._measured, *([self.costs] if here else [])):
+            costs.add(self.plan.runs[run].kind, *spent)
         self._settle(self._children.get(run, ()))
 
     def failed(self, run: int) -> None:

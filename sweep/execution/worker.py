@@ -19,7 +19,7 @@ import time
 import traceback
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -86,10 +86,10 @@ class Outcome:
     seconds: float = 0.0
     stored: int = 0  # bytes
     memory: int = 0  # largest resident memory of this process so far, bytes
-    compiled: bool = field(default=False, kw_only=True)  # whether it has compiled kernels too
-    machine: str = field(default="", kw_only=True)  # the kind of machine that it ran on
-    lost: str | None = field(default=None, kw_only=True)
-    file: bytes = field(default=b"", kw_only=True)  # what a worker without a store would store
+    compiled: bool = False  # whether it has compiled kernels too
+    machine: str = ""  # the kind of machine that it ran on
+    lost: str | None = None
+    file: bytes = b""  # what a worker without a store would store
 
 
 def introduce(table: str, parent: int | None) -> dict[str, str]:
@@ -235,20 +235,11 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
     meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
     status, message, arrays = _ended(stage, parents, task.reads, meta)
     end, cpu_end = _working_time()
-    seconds = end - begin
-    meta |= {"seconds": seconds, "cpu_seconds": cpu_end - cpu}
-    meta |= {"machine": machine(), "host": socket.gethostname()}
-    meta |= {"worker": os.getpid(), "versions": versions()}
-    spent = Outcome(
-        task.run,
-        status,
-        message,
-        seconds,
-        memory=peak_memory(),
-        # what compiling took, once on this machine, is no measure of the next run
-        compiled=compilation.seconds > 0.0,
-        machine=machine(),
-    )
+    meta |= {"seconds": end - begin, "cpu_seconds": cpu_end - cpu, "machine": machine()}
+    meta |= {"host": socket.gethostname(), "worker": os.getpid(), "versions": versions()}
+    spent = Outcome(task.run, status, message, end - begin, machine=machine())
+    # what compiling took, once on this machine, is no measure of the next run
+    spent = replace(spent, memory=peak_memory(), compiled=compilation.seconds > 0.0)
     if status is Status.OUT_OF_MEMORY:
         meta |= _memory_there(limit)
     if status is not Status.DONE:
@@ -301,12 +292,10 @@ def _working_time() -> tuple[float, float]:
     )
 
 
-def _bytes(_identity: str, arrays: Mapping[str, np.ndarray]) -> int:
-    return sum(array.nbytes for array in arrays.values())
-
-
 # the products that this process used last
-_memory: LRU[str, Mapping[str, np.ndarray]] = LRU(CACHE_BYTES, {}, weight=_bytes)
+_memory: LRU[str, Mapping[str, np.ndarray]] = LRU(
+    CACHE_BYTES, {}, weight=lambda _, arrays: sum(array.nbytes for array in arrays.values())
+)
 
 
 def _forget() -> bool:
@@ -320,10 +309,10 @@ def _forget() -> bool:
 
 
 def _load(made: _Made, identity: str) -> Mapping[str, np.ndarray]:
-    if identity in _memory:
-        return _memory[identity]
-    arrays = _memory[identity] = made.get(identity).arrays
-    return arrays
+    if identity not in _memory:
+        _memory[identity] = arrays = made.get(identity).arrays
+        return arrays  # it may have been too large to stay
+    return _memory[identity]
 
 
 def _surroundings(error: BaseException | None) -> OSError | None:

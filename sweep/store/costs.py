@@ -149,7 +149,12 @@ class Costs:
                 write_durably(machine_file(), json.dumps(record, indent=1).encode())
 
     def add(
-        self, kind: CostClass, seconds: float, stored: int, memory: int = 0, compiled: bool = False
+        self,
+        kind: CostClass,
+        seconds: float,
+        stored: int = 0,
+        memory: int = 0,
+        compiled: bool = False,
     ) -> None:
         """Count one more run; whether its worker had compiled kernels before.
 

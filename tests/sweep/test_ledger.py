@@ -44,14 +44,24 @@ def store(made, run: int, seconds: float = 0.0) -> None:
 
 def test_a_product_that_is_lost_again_and_again_ends_the_run(made):
     ledger = ledger_of(made)
+    missed = Outcome(1, Status.NOT_RUN, "it is damaged", lost=made.plan.runs[0].id)
     for _ in range(LOST_PRODUCTS):
         ledger.enter(Outcome(0, Status.DONE))
-        ledger.lost(1, made.plan.runs[0].id, "it is damaged")
+        ledger.lost(missed)
         assert not ledger.schedule.is_done(0)
     ledger.enter(Outcome(0, Status.DONE))
     with pytest.raises(RunError, match="it is damaged: again and again"):
-        ledger.lost(1, made.plan.runs[0].id, "it is damaged")
+        ledger.lost(missed)
     assert ledger.report.damaged == ["it is damaged"] * LOST_PRODUCTS
+
+
+def test_a_product_that_is_whole_where_it_lies_is_only_sent_again(made):
+    store(made, 0)
+    ledger = ledger_of(made)
+    ledger.enter(Outcome(0, Status.DONE))
+    ledger.lost(Outcome(1, Status.NOT_RUN, "it came damaged", lost=made.plan.runs[0].id))
+    assert ledger.schedule.is_done(0)
+    assert ledger.report.damaged == ["it came damaged"]
 
 
 def test_what_a_dead_worker_stored_counts_but_not_what_lay_there_before(made):
