@@ -18,6 +18,7 @@ for a run that was alone for a time t. A run that takes long is not tried as oft
 from __future__ import annotations
 
 import math
+from collections import Counter, defaultdict
 from collections.abc import Collection
 
 ATTEMPTS_ALONE = 2  # deaths of a worker, with nothing else on it, that convict a run at least
@@ -31,8 +32,8 @@ class Blame:
     """The deaths of one execution."""
 
     def __init__(self) -> None:
-        self.deaths: dict[int, int] = {}  # of workers that had nothing else on them, by run
-        self._seconds: dict[int, float] = {}  # until these deaths, added up, by run
+        self.deaths: Counter[int] = Counter()  # of workers that had nothing else on them, by run
+        self._seconds: defaultdict[int, float] = defaultdict(float)  # until these, added up
         self._unexplained: list[frozenset[int]] = []  # runs under which a worker died
 
     def died(
@@ -48,8 +49,8 @@ class Blame:
         """
         if len(runs) == 1:
             (run,) = runs
-            self.deaths[run] = self.deaths.get(run, 0) + 1
-            self._seconds[run] = self._seconds.get(run, 0.0) + seconds
+            self.deaths[run] += 1
+            self._seconds[run] += seconds
             if self._convicts(run, watched):
                 self._unexplained = [aboard for aboard in self._unexplained if run not in aboard]
                 return run

@@ -30,7 +30,6 @@ class RemotePool(Pool):
     shares_store = False
     patience = math.inf  # they may stand in a queue
     look_every = 1.0
-    parent: int | None = None
 
     def __init__(self, scheduler: str):
         super().__init__()
@@ -83,10 +82,7 @@ class RemotePool(Pool):
         raise RunError(f"the scheduler {self.scheduler} {why}; what was finished is kept")
 
     def kill(self, address: str) -> None:
-        """Have the worker's nanny start it anew; without a nanny it is left to itself.
-
-        That takes as long as its successor needs to stand: nobody waits for it here.
-        """
+        """Have the worker's nanny start it anew, which nobody waits for."""
         self._restarts.add(asyncio.ensure_future(self._restart(address)))
 
     async def _restart(self, address: str) -> None:
@@ -97,10 +93,9 @@ class RemotePool(Pool):
             await restarting
 
     def ask_for(self, workers: int) -> None:
-        """Let an adaptive cluster know how many workers would have something to do.
+        """Have tasks wait, which is what an adaptive cluster counts, for a kind of worker unknown.
 
-        It counts tasks that wait; lots are sent to workers that are there. So some tasks wait
-        for a worker of a kind that there is none of.
+        Lots are sent to workers that are there already.
         """
         count = WISHES * min(workers, ASKED_AT_MOST)
         del self._wishes[count:]
@@ -110,7 +105,6 @@ class RemotePool(Pool):
             self._wishes.append(wish)
 
     async def __aexit__(self, *error: object) -> None:
-        """Leave the cluster as it was found, its workers ended that were told to."""
         self._wishes.clear()
         if self._restarts:
             await asyncio.wait(self._restarts, timeout=RESTART_SECONDS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import operator
+from collections import Counter
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -42,18 +43,12 @@ class Executed:
 class Ledger:
     """Enters how runs ended into the schedule, the store and the report."""
 
-    def __init__(self, schedule: Schedule, store: Store, limits: Limits):
+    def __init__(self, schedule: Schedule, store: Store, limits: Limits, *, anew: bool = False):
         self.schedule, self.plan, self.store = schedule, schedule.plan, store
         self.limits = limits
+        self.anew = anew  # what lies in the store may be of an earlier run
         self.report = Executed()
-        self._old: dict[int, tuple[int, int]] = {}  # products of earlier runs, to be made again
-        self._losses: dict[int, int] = {}
-
-    def note_old_products(self) -> None:
-        """Remember the products that are there already, so as to tell new ones from them."""
-        for run in range(len(self.plan.runs)):
-            if not self.schedule.is_done(run) and (found := self._product_file(run)):
-                self._old[run] = found
+        self._losses: Counter[int] = Counter()
 
     def accept(self, outcomes: list[Outcome]) -> bool:
         """Store what a worker without a store sent; False where it did not arrive whole."""
@@ -71,26 +66,27 @@ class Ledger:
 
     def enter(self, outcome: Outcome) -> None:
         """A worker told how a run ended."""
-        if outcome.status is Status.DONE:
+        if outcome.lost:
+            self._lost(outcome)
+        elif outcome.status is Status.DONE:
             spent = outcome.seconds, outcome.stored, outcome.memory, outcome.compiled
             # what a worker on another kind of machine took is no measure of this one
             self._done(outcome.run, *spent, here=outcome.machine in ("", machine()))
         else:
             self._fail(outcome.run)
 
-    def lost(self, outcome: Outcome) -> None:
+    def _lost(self, outcome: Outcome) -> None:
         """A run missed a parent: where it lay, or on its way to a worker without a store."""
-        parents = [p for p in self.plan.runs[outcome.run].parents if p >= 0]
-        parent = next(p for p in parents if self.plan.runs[p].id == outcome.lost)
+        known, parents = self.plan.runs, self.plan.runs[outcome.run].parents
+        parent = next(p for p in parents if p >= 0 and known[p].id == outcome.lost)
         if self.schedule.is_done(parent):
             self._count_loss(parent, outcome.message)
-            if self._product_file(parent) is None:  # a damaged one was set aside
+            if not self.store.has(known[parent].id):  # a damaged one was set aside
                 self.schedule.lost(parent)
 
     def find_stored(self, run: int) -> None:
         """Count a run as done whose worker stored its product and died before it said so."""
-        found = None if self.schedule.is_done(run) else self._product_file(run)
-        if found is None or found == self._old.get(run):
+        if self.anew or self.schedule.is_done(run):
             return
         identity = self.plan.runs[run].id
         with suppress(MissingError, DamagedError):  # then it is computed again
@@ -117,15 +113,7 @@ class Ledger:
 
     def _count_loss(self, run: int, message: str) -> None:
         """Note a product that has to be computed again. Raises RunError if it happens often."""
-        self._losses[run] = self._losses.get(run, 0) + 1
+        self._losses[run] += 1
         if self._losses[run] > LOST_PRODUCTS:
             raise RunError(f"{message}: again and again; it does not arrive, or is not kept")
         self.report.damaged.append(message)
-
-    def _product_file(self, run: int) -> tuple[int, int] | None:
-        """What tells one file of a product from the next, None where there is none."""
-        try:
-            found = self.store.path(self.plan.runs[run].id).stat()
-        except FileNotFoundError:
-            return None
-        return found.st_ino, found.st_mtime_ns

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Mapping
+from collections.abc import Collection, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -89,7 +90,7 @@ class Judge:
             )
         return Verdict(Status.OUT_OF_MEMORY, f"more than {most / 1e9:.3g} GB, {why}", most)
 
-    def _seconds_before(self, run: int, together: Container[int]) -> float:
+    def _seconds_before(self, run: int, together: Collection[int]) -> float:
         """What the runs that a run builds on took, other than those done together with it, s."""
         ancestors: set[int] = set()
         stack = [run]
@@ -97,12 +98,8 @@ class Judge:
             parents = {p for p in self.plan.runs[stack.pop()].parents if p >= 0}
             stack += parents - ancestors
             ancestors |= parents
-        return sum(self._seconds_of(a) for a in ancestors if a not in together)
-
-    def _seconds_of(self, run: int) -> float:
-        if run not in self._seconds:
-            try:
-                self._seconds[run] = self.store.meta(self.plan.runs[run].id)["seconds"]
-            except (MissingError, DamagedError):
-                return 0.0  # the worker will miss it too
-        return self._seconds[run]
+        ancestors.difference_update(together)
+        for earlier in ancestors - self._seconds.keys():
+            with suppress(MissingError, DamagedError):  # the worker will miss it too
+                self._seconds[earlier] = self.store.meta(self.plan.runs[earlier].id)["seconds"]
+        return sum(self._seconds.get(earlier, 0.0) for earlier in ancestors)

@@ -68,7 +68,7 @@ class LocalPool(Pool):
 
     def __init__(self, workers: int, memory: float | None = None):
         super().__init__()
-        self.parent: int | None = os.getpid()
+        self.parent = os.getpid()
         self.workers, self.memory = workers, memory
         self._started = False  # whether a worker ever stood
         self._begin = time.monotonic()
@@ -138,10 +138,7 @@ class LocalPool(Pool):
                 _kill(nanny)
 
     async def __aexit__(self, *error: object) -> None:
-        """End all processes without leave-taking, which costs each half a second of its processor.
-
-        What they did is stored.
-        """
+        # without leave-taking, which costs each half a second of its processor
         if hasattr(self, "client"):  # an interrupted start may have left only the cluster
             await self._hang_up()
         for nanny in self._nannies():

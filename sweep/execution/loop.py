@@ -25,7 +25,7 @@ from demflow.sweep.execution.cluster import RemotePool
 from demflow.sweep.execution.ledger import Executed, Ledger
 from demflow.sweep.execution.limits import Judge, Verdict
 from demflow.sweep.execution.local import LocalPool
-from demflow.sweep.execution.lots import Lots, ParentLostError
+from demflow.sweep.execution.lots import Lots
 from demflow.sweep.execution.pool import NoAnswerError, Pool, silent_loops
 from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
@@ -88,9 +88,7 @@ def execute(
     """
     begin = time.monotonic()
     limits = limits or Limits()
-    ledger = Ledger(schedule, store, limits)
-    if anew:
-        ledger.note_old_products()
+    ledger = Ledger(schedule, store, limits, anew=anew)
     pool = RemotePool(scheduler) if scheduler is not None else LocalPool(workers, limits.memory)
     judge = Judge(schedule.plan, store, limits)
     lots = Lots(schedule.plan, store, scene_of, table, pool)
@@ -300,16 +298,16 @@ class _Execution:
             await asyncio.wait({worker.end}, timeout=2.0 * self.pool.look_every)
             self._end(worker, Verdict(Status.NOT_RUN, "what was sent to it is gone"))
             raise
-        except ParentLostError as lost:
-            answer = list(lost.args)
         worker.runs = ()
         self._settle(worker, runs, answer)
 
     async def _do(self, worker: _Worker) -> list[Outcome]:
-        """Send a worker its lot; what it answers. Raises NoAnswerError, ParentLostError."""
+        """Send a worker its lot; what it answers. Raises NoAnswerError."""
         bound, afresh = self.judge.memory(worker.known), worker.runs[0] in self.schedule.suspects
         lot = self.lots.make(worker.runs, memory=bound, afresh=afresh)
         files = await self.lots.files(worker.address, lot)
+        if isinstance(files, Outcome):
+            return [files]
         answer = asyncio.ensure_future(self.pool.call(worker.address, run_lot, lot, files))
         try:
             # Dask never starts what waits for a parent that died with the worker that held it
@@ -343,11 +341,9 @@ class _Execution:
             )
         if self.pool.shares_store or self.ledger.accept(answer):
             for outcome in answer:
-                if outcome.status is not Status.NOT_RUN:
-                    self.ledger.enter(outcome)
-                elif outcome.lost:
-                    self.ledger.lost(outcome)
-                    self.lots.forget()
+                self.ledger.enter(outcome)
+            if any(outcome.lost for outcome in answer):
+                self.lots.forget()
         self.schedule.again(runs)
         self._advance()
 

@@ -21,10 +21,6 @@ if TYPE_CHECKING:
 SENT_BYTES = 100_000_000  # of products that are held on a cluster, each on the workers that took it
 
 
-class ParentLostError(Exception):
-    """A product that a run is to be sent is missing or damaged: how that run ended."""
-
-
 class Lots:
     """Makes the lots of a plan.
 
@@ -62,10 +58,10 @@ class Lots:
         parents = tuple(self.plan.runs[p].id if p >= 0 else None for p in entry.parents)
         return Task(run, entry.id, stage.name, reads, parents)
 
-    async def files(self, address: str, lot: Lot) -> dict[str, Future[Any]]:
-        """Parents that a worker does not make in this very lot.
+    async def files(self, address: str, lot: Lot) -> dict[str, Future[Any]] | Outcome:
+        """Parents that a worker does not make in this very lot, or how a run ends that lacks one.
 
-        Raises ParentLostError, NoAnswerError.
+        Raises NoAnswerError.
         """
         if lot.store is not None:
             return {}
@@ -78,8 +74,7 @@ class Lots:
             try:
                 content = self.store.content(identity)
             except (MissingError, DamagedError) as error:
-                ended = Outcome(taken[identity], Status.NOT_RUN, str(error), lost=identity)
-                raise ParentLostError(ended) from error
+                return Outcome(taken[identity], Status.NOT_RUN, str(error), lost=identity)
             # a name of its own each time: Dask may hear that the one before is forgotten only
             # after it has heard of this one, and would forget this one
             self._sendings += 1

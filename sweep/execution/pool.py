@@ -55,7 +55,7 @@ class Pool(ABC):
     shares_store: bool  # whether they see the client's store; products travel otherwise
     patience: float  # s without any worker before a run gives up
     look_every: float  # s between two looks at the workers
-    parent: int | None  # process with which they end; None: they were there before
+    parent: int | None = None  # process with which they end; None: they were there before
 
     def __init__(self) -> None:
         self.name = f"demflow-{uuid.uuid4().hex[:12]}"  # of this run, on a scheduler of many

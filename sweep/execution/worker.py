@@ -51,6 +51,7 @@ if TYPE_CHECKING:
 
 COMPILING = "demflow-compiling"  # topic under which workers tell that they compile
 KEEP_SECONDS = 0.2  # s of finished work that may be lost with a worker
+SHORT = 0.99  # share of a limit of memory below which less than the limit was there
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
 
 
@@ -241,7 +242,10 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
     # what compiling took, once on this machine, is no measure of the next run
     spent = replace(spent, memory=peak_memory(), compiled=compilation.seconds > 0.0)
     if status is Status.OUT_OF_MEMORY:
-        meta |= _memory_there(limit)
+        room = available() + resident_memory()
+        # what bounded it: its limit, or less, all that there was
+        short = limit is None or room < SHORT * limit
+        meta |= {"limits": {"memory": limit}} | ({"room": room} if short else {})
     if status is not Status.DONE:
         made.put(task.id, {}, {**meta, "status": int(status), "message": message})
         return spent
@@ -272,16 +276,6 @@ def _ended(
         meta["traceback"] = traceback.format_exc()
         return Status.FAILED, f"{type(error).__name__}: {error} ({_place(error)})", {}
     return Status.DONE, "", arrays
-
-
-SHORT = 0.99  # share of a limit below which less than the limit was there
-
-
-def _memory_there(limit: float | None) -> dict[str, Any]:
-    """What bounded a run that found no memory: its limit, or less, all that there was."""
-    room = available() + resident_memory()
-    short = limit is None or room < SHORT * limit
-    return {"limits": {"memory": limit}} | ({"room": room} if short else {})
 
 
 def _working_time() -> tuple[float, float]:

@@ -33,9 +33,9 @@ def made(tmp_path):
 UNLIMITED = Limits(time=None)
 
 
-def ledger_of(made, limits=UNLIMITED) -> Ledger:
+def ledger_of(made, limits=UNLIMITED, anew=False) -> Ledger:
     nothing = np.zeros(len(made.plan.runs), dtype=bool)
-    return Ledger(Schedule(made.plan, nothing, nothing), made.store, limits)
+    return Ledger(Schedule(made.plan, nothing, nothing), made.store, limits, anew=anew)
 
 
 def store(made, run: int, seconds: float = 0.0) -> None:
@@ -47,11 +47,11 @@ def test_a_product_that_is_lost_again_and_again_ends_the_run(made):
     missed = Outcome(1, Status.NOT_RUN, "it is damaged", lost=made.plan.runs[0].id)
     for _ in range(LOST_PRODUCTS):
         ledger.enter(Outcome(0, Status.DONE))
-        ledger.lost(missed)
+        ledger.enter(missed)
         assert not ledger.schedule.is_done(0)
     ledger.enter(Outcome(0, Status.DONE))
     with pytest.raises(RunError, match="it is damaged: again and again"):
-        ledger.lost(missed)
+        ledger.enter(missed)
     assert ledger.report.damaged == ["it is damaged"] * LOST_PRODUCTS
 
 
@@ -59,19 +59,19 @@ def test_a_product_that_is_whole_where_it_lies_is_only_sent_again(made):
     store(made, 0)
     ledger = ledger_of(made)
     ledger.enter(Outcome(0, Status.DONE))
-    ledger.lost(Outcome(1, Status.NOT_RUN, "it came damaged", lost=made.plan.runs[0].id))
+    ledger.enter(Outcome(1, Status.NOT_RUN, "it came damaged", lost=made.plan.runs[0].id))
     assert ledger.schedule.is_done(0)
     assert ledger.report.damaged == ["it came damaged"]
 
 
-def test_what_a_dead_worker_stored_counts_but_not_what_lay_there_before(made):
-    store(made, 0)
-    ledger = ledger_of(made)
-    ledger.note_old_products()
+def test_what_a_dead_worker_stored_counts_unless_it_may_have_lain_there_before(made):
+    ledger, forced = ledger_of(made), ledger_of(made, anew=True)
     store(made, 1, seconds=3.0)
     for run in (0, 1, 2):
         ledger.find_stored(run)
+        forced.find_stored(run)
     assert [ledger.schedule.is_done(run) for run in range(3)] == [False, True, False]
+    assert forced.report.computed == 0
     assert ledger.report.computed == 1
     assert ledger.schedule.costs.seconds(made.plan.runs[1].kind) == 3.0
 
