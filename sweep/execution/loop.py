@@ -31,7 +31,6 @@ from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.execution.signals import kept_from_children, signals_noted
 from demflow.sweep.execution.worker import COMPILING, Outcome, introduce, run_lot
-from demflow.sweep.plan.graph import MODEL
 from demflow.sweep.store.products import Store
 from demflow.sweep.store.versions import agreed
 from demflow.sweep.study.load import Limits
@@ -59,12 +58,12 @@ def execute(
     store: Store,
     scene_of: Callable[[int], Scene],
     *,
-    table: str = MODEL,
-    workers: int = 2,
-    scheduler: str | None = None,
-    limits: Limits | None = None,
-    progress: Callable[[Progress], None] | None = None,
-    anew: bool = False,
+    table: str,
+    workers: int,
+    scheduler: str | None,
+    limits: Limits,
+    progress: Callable[[Progress], None] | None,
+    anew: bool,
 ) -> Executed:
     """Run all that the schedule holds and store the products.
 
@@ -87,7 +86,6 @@ def execute(
     nothing: what runs is finished, nothing new is begun, and the report says `interrupted`.
     """
     begin = time.monotonic()
-    limits = limits or Limits()
     ledger = Ledger(schedule, store, limits, anew=anew)
     pool = RemotePool(scheduler) if scheduler is not None else LocalPool(workers, limits.memory)
     judge = Judge(schedule.plan, store, limits)
