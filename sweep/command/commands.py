@@ -24,8 +24,8 @@ MOST_SHOWN = 20  # failed cases that `status` names one by one
 
 def run(options: argparse.Namespace) -> int:
     """Run what is missing, collect the dataset, draw the figures."""
+    from demflow.sweep.command.progress_line import ProgressLine
     from demflow.sweep.engine import run_study
-    from demflow.sweep.execution.progress import ProgressLine
 
     line = ProgressLine()
     try:
@@ -113,7 +113,7 @@ def check(options: argparse.Namespace) -> int:
 def plan(options: argparse.Namespace) -> int:
     """Tell what `run` would do."""
     from demflow.sweep.command.forecast import forecast
-    from demflow.sweep.execution.progress import duration, size
+    from demflow.sweep.command.progress_line import duration, size
 
     summary = forecast(_prepare(options), options.workers)
     for warning in summary["warnings"]:
@@ -287,8 +287,8 @@ def verify(options: argparse.Namespace) -> int:
 
 def clean(options: argparse.Namespace) -> int:
     """Free what no study of a results folder refers to."""
+    from demflow.sweep.command.progress_line import size
     from demflow.sweep.command.upkeep import free, unwanted
-    from demflow.sweep.execution.progress import size
 
     found = unwanted(options.folder)
     amount = f"{_count(len(found.files), 'file')}, {size(found.bytes)}"
@@ -325,7 +325,7 @@ def _prepare(options: argparse.Namespace) -> Project:
 
 
 def _summary(finished: Finished) -> str:
-    from demflow.sweep.execution.progress import duration
+    from demflow.sweep.command.progress_line import duration
 
     good = finished.cases - finished.failed
     text = f"{good} of {finished.cases} cases good"

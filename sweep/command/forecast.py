@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from demflow.model.compilation import kept_kernels
+from demflow.sweep.command.progress_line import size
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import machine_memory, peak_memory
-from demflow.sweep.execution.progress import size
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.plan.runs import CostClass
 from demflow.sweep.prepared import Project

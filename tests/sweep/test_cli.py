@@ -15,8 +15,9 @@ import pytest
 
 from demflow.sweep import prepared
 from demflow.sweep.command import cli, forecast
+from demflow.sweep.command.progress_line import ProgressLine, duration, line, size
 from demflow.sweep.dataset.open import open_results
-from demflow.sweep.execution.progress import Progress, ProgressLine, duration, line, size
+from demflow.sweep.execution.progress import Progress
 from demflow.sweep.store.lock import FolderLock
 from tests.sweep import toy_stages, toys
 
