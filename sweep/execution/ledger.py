@@ -80,8 +80,9 @@ class Ledger:
         known, parents = self.plan.runs, self.plan.runs[outcome.run].parents
         parent = next(p for p in parents if p >= 0 and known[p].id == outcome.lost)
         if self.schedule.is_done(parent):
-            self._count_loss(parent, outcome.message)
-            if not self.store.has(known[parent].id):  # a damaged one was set aside
+            whole = self.store.has(known[parent].id)  # a damaged one was set aside
+            self._count_loss(outcome.run if whole else parent, outcome.message)
+            if not whole:
                 self.schedule.lost(parent)
 
     def find_stored(self, run: int) -> None:
