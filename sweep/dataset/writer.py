@@ -46,6 +46,8 @@ class Writer:
     labels: Labels
     stages: tuple[str, ...]  # those that some case runs
     blocks: dict[str, np.ndarray] = field(default_factory=dict)  # variable -> (cases of tile, …)
+    # names of the numbers that each case of the tile has
+    recorded: dict[int, set[str]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.ragged = Ragged(self.file, tuple(axis.name for axis in self.study.axes))
@@ -73,9 +75,11 @@ class Writer:
         self.status = np.zeros(len(tile.cases), dtype=np.int8)
         self.message = _blank((len(tile.cases),))
         self.blocks = {}
+        self.recorded = {}
 
     def add(self, case: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the numbers of one case."""
+        self.recorded[case] = set(arrays)
         for name, array in arrays.items():
             if name == STOPPED:
                 continue  # it is the case's message
@@ -110,7 +114,8 @@ class Writer:
         """What of the numbers of a case is beyond the bounds of a good result."""
         expected = self.study.expectation(self._index(case))
         k = case - self.tile.cases.start
-        met = {name: float(self.blocks[name][k]) for name in JUDGED if name in self.blocks}
+        has = self.recorded.get(case, ())
+        met = {name: float(self.blocks[name][k]) for name in JUDGED if name in has}
         return beyond_bounds(expected, met)
 
     def _index(self, case: int) -> tuple[int, ...]:

@@ -20,7 +20,7 @@ from demflow.sweep.analysis.cases import Index
 from demflow.sweep.dataset.open import open_case
 from demflow.sweep.figures import representative_cases
 from demflow.sweep.report.carried import carried, cases_with_maps
-from demflow.sweep.report.html import visible
+from demflow.sweep.report.html import escape, visible
 from demflow.sweep.report.promises import promises
 from demflow.sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
 from demflow.sweep.report.size_effect import size_section
@@ -61,7 +61,7 @@ def write_report(
     page = _template().render(
         policy=_policy(script),
         style=Markup(_text("vendor/uPlot.min.css") + _text("page.css")),
-        title=visible(study.title),
+        title=Markup(escape(study.title)),
         name=visible(study.name),
         notes=Markup(_notes(study.report.notes)),
         outcome=Markup(outcome(dataset)),

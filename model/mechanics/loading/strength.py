@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.mechanics.contact.grains import Array
+from demflow.model.mechanics.contact.neighbours import JOINED, some_pairs
 from demflow.model.mechanics.loading.stress import path_between
 from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
@@ -164,11 +165,13 @@ def _spent(specimen: Specimen) -> Array:
 
 
 def _overlap(specimen: Specimen) -> float:
-    """Largest overlap of two grains, over the mean radius; raises `ModelError` beyond a bound."""
-    grains = specimen.grains
-    return measures.largest_overlap(
-        grains.x, grains.y, grains.radius, *measures.listed(specimen.pairs)
-    )
+    """Largest overlap of two grains, over the mean radius; raises `ModelError` beyond a bound.
+
+    Along a smooth joint grains slide past each other, so that those pairs do not count.
+    """
+    grains, pairs = specimen.grains, specimen.pairs
+    a, b = measures.listed(some_pairs(pairs, pairs.bond != JOINED))
+    return measures.largest_overlap(grains.x, grains.y, grains.radius, a, b)
 
 
 def flows(stress: Array) -> bool:
