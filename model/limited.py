@@ -30,7 +30,7 @@ from demflow.model.products import Responses
 
 Array = np.ndarray
 
-FINE, COARSE = 40, 16  # steps a decade while rates are found, and while all are given
+FINE, COARSE = 80, 16  # steps a decade while rates are found, and while all are given
 MOST_SWITCHES = 500
 HALVINGS, CLOSE = 60, 1e-10  # how near the time of a switch is found, relative
 SLACK = 1e-7  # part of a rate or a pressure change below which nothing is beyond a limit

@@ -78,12 +78,13 @@ def clock_shift(
     """How much later the pressure answers than its rates change, s, or None where it agrees.
 
     The median over the changes that have a break of their own, where all of them are late (or
-    early) by more than the times leave open.
+    early) by more than the times leave open. One change alone says nothing: storage and noise hide
+    the begin of an answer too.
     """
     t = np.asarray(time, dtype=float)
     starts = np.array([start for start, _ in rates])
     starts = starts[(starts > t[0]) & (starts < t[-1])]
-    if not len(starts) or len(breaks) != len(starts):
+    if len(starts) < 2 or len(breaks) != len(starts):
         return None
     ends = np.array([t[min(one.place + 1, len(t) - 1)] for one in breaks])
     begins = np.array([one.time for one in breaks])

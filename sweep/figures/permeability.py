@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from matplotlib import rcParams
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -80,7 +79,7 @@ def draw_permeability(
             panel.set_xticks([])
     if logarithmic:
         plain_log_ticks(panels[0].yaxis)
-    figure.supylabel(f"permeability ({unit})", fontsize=rcParams["axes.labelsize"])
+    _name(panels, f"permeability ({unit})")
     handles = [
         Line2D([], [], color=colour, marker=marker, markersize=5, label=name)
         for name, _, colour, marker in _COMPONENTS
@@ -98,6 +97,12 @@ def draw_permeability(
     if idle:
         caption += f". It does not change with {', '.join(axis_title(a) for a in idle)}"
     return save(figure, path, caption + ".")
+
+
+def _name(panels: np.ndarray, text: str) -> None:
+    """Say what is drawn upwards, once for panels beside each other."""
+    for panel in panels if narrow() else panels[:1]:
+        panel.set_ylabel(text)
 
 
 def _panels(count: int) -> tuple[Figure, np.ndarray]:
