@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 import qdldl
-from scipy.sparse import coo_array, csc_array, csr_array, diags_array
+from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from demflow.model.mechanics.contact.grains import Array
@@ -69,12 +69,16 @@ class StepMatrix:
         fixed_rows = np.concatenate([every, constant.row])
         fixed_columns = np.concatenate([every, m + constant.col])
         fixed = np.concatenate([anchor, -storage, -constant.data])
-        row, column = np.concatenate(rows), np.concatenate(columns)
-        key = column * self.n + row
+        key = np.concatenate(columns) * self.n + np.concatenate(rows)
         fixed_key = fixed_columns * self.n + fixed_rows
         pattern, place = np.unique(np.append(fixed_key, key), return_inverse=True)
         self.row, self.column = pattern % self.n, pattern // self.n
         self.start = np.searchsorted(self.column, np.arange(self.n + 1))
+        (off,) = np.nonzero(self.row != self.column)  # those that also stand below the diagonal
+        row, column = np.append(self.row, self.column[off]), np.append(self.column, self.row[off])
+        order = np.lexsort((column, row))
+        self._both = np.append(np.arange(len(pattern)), off)[order], column[order]
+        self._starts = np.searchsorted(row[order], np.arange(self.n + 1))
         self.fixed = np.bincount(place[: len(fixed)], weights=fixed, minlength=len(pattern))
         self.by = coo_array(
             (np.concatenate(values), (place[len(fixed) :], np.concatenate(parameter))),
@@ -113,20 +117,28 @@ class StepMatrix:
         right : right-hand side
         tolerance : relative residual that is left
         """
-        whole = csr_array(upper + upper.T - diags_array(upper.diagonal()) + besides)
+        whole = self._whole(upper)
+        acts = LinearOperator(
+            (self.n, self.n), matvec=lambda x: whole @ x + besides @ x, dtype=float
+        )
         for fresh in (self.stale, True):
             if fresh:
                 self._factorise(upper)
             inverse = LinearOperator((self.n, self.n), matvec=self._divided, dtype=float)
             found, _ = gmres(
-                whole, right, rtol=tolerance, restart=WITH_NEW if fresh else MOST_SOLVES,
+                acts, right, rtol=tolerance, restart=WITH_NEW if fresh else MOST_SOLVES,
                 maxiter=1, M=inverse,
             )  # fmt: skip
-            off = np.linalg.norm(whole @ found - right)
+            off = np.linalg.norm(acts.matvec(found) - right)
             if off <= ENOUGH * np.linalg.norm(right):
                 break
         self.stale = False
         return np.asarray(found)
+
+    def _whole(self, upper: csc_array) -> csr_array:
+        """The matrix of an upper triangle, without sorting it anew each time."""
+        place, column = self._both
+        return csr_array((upper.data[place], column, self._starts), shape=(self.n, self.n))
 
     def _factorise(self, upper: csc_array) -> None:
         if self.solver is None:
