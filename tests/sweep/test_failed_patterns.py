@@ -101,8 +101,9 @@ def with_failures(dataset: xr.Dataset, good: np.ndarray, rng: np.random.Generato
     ways = [s for s in Status if s is not Status.DONE]
     dataset["status"].values[~good] = rng.choice(ways, np.count_nonzero(~good))
     dataset["message"].values[~good] = "flow: it came to $nothing"
+    axes = dataset["status"].dims
     for name, variable in dataset.data_vars.items():
-        if name in CASE and variable.dtype.kind == "f":
+        if name in CASE and variable.dtype.kind == "f" and variable.dims[: len(axes)] == axes:
             variable.values[~good] = np.nan
     return dataset
 
