@@ -351,7 +351,7 @@ def test_shapes_are_those_of_the_table():
     }
     rare = {name for name, quantity in CASE.items() if "event" in quantity.dimensions}
     # which only a march, a family's member, and wells with limits may have
-    rare |= {STOPPED, "emulator_snapshots", "well_limited"}
+    rare |= {STOPPED, "emulator_snapshots", "well_limited", "highest_well_pressure"}
     rare |= {name for name, quantity in CASE.items() if set(quantity.needs) & set(OF_BREAKING)}
     told = {"coupling_used", "coupling_reason", "kept_conductance"}  # of coupled scenes alone
     assert set(SEEN) == set(CASE) - rare - set(OF_COUPLING) - told

@@ -2,8 +2,8 @@
 
 Fluid is injected slowly into a hole of five mean radii under equal stresses until a fracture runs
 from it; T is what a test in direct tension measures on grains of the same packing and cement. The
-highest pressure of the well after any step is taken. The box is some 15 radii of the hole wide: a
-fracture grows some way before the pressure falls, and in a box of 10 the walls help it.
+highest pressure of the well after any step is taken. The box is some 15 radii of the hole wide: in
+one of 10, of other packings, the ratio was lower by a tenth; whether walls are the cause is open.
 """
 
 from __future__ import annotations
