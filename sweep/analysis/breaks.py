@@ -11,6 +11,7 @@ from scipy import stats
 
 _BEFORE, _AFTER = 5, 4  # points that tell the course before a place and after it
 _FLOOR = 1e-4  # of the record's range: what is less is no change of rate
+MANY = 10  # points by which one change alone must be off to tell of two clocks
 
 
 class Break(NamedTuple):
@@ -78,17 +79,19 @@ def clock_shift(
     """How much later the pressure answers than its rates change, s, or None where it agrees.
 
     The median over the changes that have a break of their own, where all of them are late (or
-    early) by more than the times leave open. One change alone says nothing: storage and noise hide
-    the begin of an answer too.
+    early) by more than the times leave open. Storage and noise hide the begin of an answer too:
+    one change alone must be off by `MANY` points.
     """
     t = np.asarray(time, dtype=float)
     starts = np.array([start for start, _ in rates])
     starts = starts[(starts > t[0]) & (starts < t[-1])]
-    if len(starts) < 2 or len(breaks) != len(starts):
+    if not len(starts) or len(breaks) != len(starts):
         return None
     ends = np.array([t[min(one.place + 1, len(t) - 1)] for one in breaks])
     begins = np.array([one.time for one in breaks])
     late, early = begins - starts, starts - ends
+    if len(starts) == 1 and abs(breaks[0].place - np.searchsorted(t, starts[0])) < MANY:
+        return None
     if np.all(late > 0.0) or np.all(early > 0.0):
         return float(np.median(0.5 * (begins + ends) - starts))
     return None

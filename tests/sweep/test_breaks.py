@@ -53,4 +53,6 @@ def test_rates_of_another_clock_are_told():
     early = tuple((max(start - 3600.0, 0.0), rate) for start, rate in RATES)
     assert clock_shift(found, early, times) == pytest.approx(3600.0, abs=200.0)
     assert clock_shift(found[:1], RATES, times) is None
-    assert clock_shift(found[:1], early[:2], times) is None  # one change may be hidden by noise
+    for start, shift in ((2e4 - 3600.0, 3600.0), (2e4 - 400.0, None)):  # of 30 points, of 3
+        told = clock_shift(found[:1], ((0.0, 1.0), (start, 0.0)), times)
+        assert told == (shift and pytest.approx(shift, abs=200.0))

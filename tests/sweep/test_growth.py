@@ -221,8 +221,9 @@ def _scenes(shipped: Study) -> Iterator[Scene | SceneError]:
 
 # Every declared parameter in turn.
 
-# Quasi-static results ignore the density, packings with walls the tile, linear contacts the ratio.
-UNREAD = {"grains.density", "grains.tile", "grains.poissons_ratio"}
+# Without weight results ignore the grains' density, by a permeability the fluid's; packings with
+# walls the tile, linear contacts the ratio.
+UNREAD = {"grains.density", "fluid.density", "grains.tile", "grains.poissons_ratio"}
 
 
 @pytest.fixture(scope="module")
