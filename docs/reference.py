@@ -127,8 +127,7 @@ class StudyPage:
         self._study()
         self._block("scene", SCENE.without("observe", "solver"))
         self._observe()
-        for key in ("solver",):
-            self._section(key, SCENE.members[key].section)
+        self._section("solver", SCENE.members["solver"].section)
         for key, block in (
             ("limits", study_file.LIMITS),
             ("figures", study_file.FIGURES),
@@ -327,8 +326,6 @@ def _inside(section: Section) -> Iterator[tuple[str, Section, str]]:
         for word, block in section.laws.items():
             yield "", block, f"a law with `{word}`"
     else:
-        if isinstance(section, WordOrBlock):
-            yield "", section.block, ""
         for name, told in _FORMS.items():
             if hasattr(section, name):
                 yield "", getattr(section, name), told

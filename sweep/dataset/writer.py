@@ -148,7 +148,7 @@ class Writer:
         for name, values in principal(tensor).items():
             self._variable(name, PRINCIPAL[name])[...] = values
         for number, axis in enumerate(self.study.axes):
-            if len(axis.parameters) == 1 and axis.parameters[0].endswith(".seed"):
+            if axis.seeds:
                 along = tuple(name for name in self.axes if name != axis.name)
                 for name, values in members_of(tensor, number).items():
                     variable = self._variable(name, ENSEMBLE[name], along)

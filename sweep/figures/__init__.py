@@ -160,6 +160,8 @@ def _wells(dataset: xr.Dataset, scene_of: SceneOf, folder: Path) -> list[Path | 
     """Draw the transients of every well."""
 
     def well_of(index: Index, name: str) -> Well | None:
+        if int(dataset["status"].isel(index)) != Status.DONE:
+            return None  # what is left out, or failed, may be no scene at all
         return next((well for well in scene_of(index).wells if well.name == name), None)
 
     drawn: list[Path | None] = []

@@ -19,7 +19,7 @@ from markupsafe import Markup
 from demflow.sweep.analysis.cases import Index
 from demflow.sweep.dataset.open import open_case
 from demflow.sweep.figures import representative_cases
-from demflow.sweep.report.carried import carried, cases_with_maps
+from demflow.sweep.report.carried import MOST_CASES, carried, cases_with_maps
 from demflow.sweep.report.html import escape, visible
 from demflow.sweep.report.promises import promises
 from demflow.sweep.report.sections import axes_table, figures, key_numbers, outcome, provenance
@@ -73,6 +73,7 @@ def write_report(
         provenance=Markup(provenance(dataset)),
         study_text=visible(study.text),
         data=Markup(_json(data)) if data else "",
+        many=dataset["status"].size > MOST_CASES,
         left_out=data["left_out"] if data else [],
         script=Markup(script),
     )

@@ -30,6 +30,7 @@ from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.maps import map_times, polygons
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
+from demflow.sweep.study.scenes import SceneBuilder
 
 MOST_CASES = 5_000  # that the page can show one by one
 MOST_BYTES = 6_000_000  # of one quantity over all cases
@@ -73,9 +74,9 @@ def carried(dataset: xr.Dataset, study: Study, mapped: dict[int, Index], maps_of
                 "title": axis_title(name),
                 "values": [axis_value(dataset, name, k) for k in range(dataset.sizes[name])],
                 "numbers": _plain_numbers(dataset, name),
-                "ensemble": _is_ensemble(study, name),
+                "ensemble": axis.seeds,
             }
-            for name in names
+            for name, axis in zip(names, study.axes, strict=True)
         ],
         "status": [Status(one).name.replace("_", " ").lower() for one in status],
         "message": _messages(dataset),
@@ -100,11 +101,6 @@ def _plain_numbers(dataset: xr.Dataset, name: str) -> list[float] | None:
     values = np.asarray(dataset[name].values, dtype=float)
     factor, _ = display(str(dataset[name].attrs.get("units", "1")), values)
     return (values * factor).tolist() if np.all(np.isfinite(values)) else None
-
-
-def _is_ensemble(study: Study, name: str) -> bool:
-    parameters = next(axis.parameters for axis in study.axes if axis.name == name)
-    return bool(parameters) and all(path.split(".")[-1] == "seed" for path in parameters)
 
 
 def _messages(dataset: xr.Dataset) -> dict[int, str]:
@@ -135,16 +131,20 @@ def _histories(dataset: xr.Dataset, left_out: list[str]) -> dict[str, Any]:
 
 
 def _periods(dataset: xr.Dataset, study: Study) -> Any:
-    """When the flow periods of each case and well start: distinct lists, and which is whose."""
-    lists: list[list[float]] = []
-    which: list[int] = []
+    """When the flow periods of each case and well start: distinct lists, and which is whose.
+
+    A case without a result has none: what is left out, or failed, may be no scene at all.
+    """
+    lists: dict[tuple[float, ...], int] = {(): 0}
     wells = [str(one) for one in dataset["well"].values]
-    for position in np.ndindex(*dataset["status"].shape):
-        for starts in period_starts(case_at(study, position).scene, wells):
-            if starts not in lists:
-                lists.append(starts)
-            which.append(lists.index(starts))
-    return {"lists": lists, "which": which}
+    status = np.asarray(dataset["status"].values)
+    which = np.zeros((*status.shape, len(wells)), dtype=int)
+    scenes = SceneBuilder(study.values, study.axes)
+    for position in np.ndindex(*status.shape):
+        if status[position] in (Status.DONE, Status.INACCURATE):
+            for well, starts in enumerate(period_starts(scenes.scene(position), wells)):
+                which[(*position, well)] = lists.setdefault(tuple(starts), len(lists))
+    return {"lists": list(lists), "which": which.ravel().tolist()}
 
 
 def _scalars(dataset: xr.Dataset) -> list[dict[str, Any]]:

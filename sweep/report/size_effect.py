@@ -15,7 +15,7 @@ SIZES = ("region.width", "region.radius")
 def size_section(dataset: xr.Dataset, study: Study) -> str:
     """A table by size and a verdict; nothing unless a study varies size and seeds and no more."""
     sized = [axis for axis in study.axes if set(SIZES) & set(axis.parameters)]
-    over = [axis.name for axis in study.axes if _seeds(axis)]
+    over = [axis.name for axis in study.axes if axis.seeds]
     if len(sized) != 1 or not over or len(study.axes) != 1 + len(over):
         return ""
     if "permeability" not in dataset:
@@ -39,12 +39,6 @@ def size_section(dataset: xr.Dataset, study: Study) -> str:
     )
     table = grid(head, rows)
     return f"<section><h2>Size of the region</h2>\n<p>{escape(rule)}</p>{table}</section>"
-
-
-def _seeds(axis: Axis) -> bool:
-    """Whether the points of an axis differ in seeds alone."""
-    named = [path.split(".")[-1] for path in axis.parameters]
-    return bool(named) and set(named) == {"seed"}
 
 
 def _length(dataset: xr.Dataset, axis: Axis) -> xr.DataArray:

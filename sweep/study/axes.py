@@ -63,6 +63,11 @@ class Axis:
     names: tuple[str, ...] = ()  # of the points, where these are variants of the scene
     sampled: tuple[tuple[str, Any], ...] = ()  # what made the points, where they are a sample
 
+    @property
+    def seeds(self) -> bool:
+        """Whether its points differ in seeds alone: an ensemble, whose order means nothing."""
+        return bool(self.parameters) and all(p.split(".")[-1] == "seed" for p in self.parameters)
+
 
 class Draft(NamedTuple):
     """An axis of which only the paths have been read."""

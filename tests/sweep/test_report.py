@@ -11,6 +11,8 @@ import pytest
 
 import demflow.sweep.figures as figures
 import demflow.sweep.report as report
+from demflow import sweep
+from demflow.model.outcome import Status
 from demflow.sweep.figures.maps import polygons
 from demflow.sweep.report import write_report
 from demflow.sweep.report.html import grid
@@ -220,3 +222,34 @@ def test_notes_are_shown_and_hold_nothing_that_runs(made, tmp_path):
 def test_notes_that_are_not_there_are_told_with_their_place(tmp_path):
     with pytest.raises(StudyError, match=r"report.notes: none.md: there is no such file"):
         study_of(RADIAL + "report: {notes: none.md}\n", tmp_path)
+
+
+LEFT_OUT = """
+study: left-out
+scene:
+  region: {shape: circle, radius: 1 m}
+  grains: {count: 150, packing: square}
+  matrix: {aperture: 10 um}
+  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}
+  wells: {w: {at: [0, 0], radius: 0.1 m, rate: 1e-9 m3/s}}
+  boundaries: {outer: 1 MPa}
+  initial_pressure: 1 MPa
+  times: {first: 1 s, last: 1e4 s, per_decade: 3}
+vary:
+  size: {parameter: region.radius, values: [3 m, 1 m]}
+  width: {parameter: wells.w.radius, values: [0.1 m, 1.5 m]}
+where: size > 2 m or width < 1 m
+observe: [well_pressure]
+"""
+
+
+def test_combinations_that_are_left_out_need_be_no_scenes(tmp_path):
+    """The wider of the wells would fill the smaller region."""
+    (tmp_path / "study.yaml").write_text(LEFT_OUT)
+    dataset = sweep.run(tmp_path / "study.yaml", results=tmp_path / "results", workers=1)
+    assert int((dataset["status"] == Status.DONE).sum()) == 3
+    found = Page((tmp_path / "results" / "left-out" / "report.html").read_text()).carried
+    assert found["status"].count("left out") == 1
+    periods = found["periods"]
+    starts = [periods["lists"][k] for k in periods["which"]]
+    assert starts == [[] if word == "left out" else [0.0] for word in found["status"]]
