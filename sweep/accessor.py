@@ -18,7 +18,7 @@ from demflow.model.outcome import Status
 from demflow.model.transient import SMOOTHING, bourdet_derivative
 from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.analysis.sensitivity import sensitivity
-from demflow.sweep.dataset.open import open_results
+from demflow.sweep.dataset.open import open_results, same_value
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.study.units import UnitError, parse_unit
 
@@ -55,10 +55,11 @@ class Results:
         ----------
         smoothing : window L in natural logarithms of time.
 
-        Of wells with one rate from the start; where rates change, the dataset's own
-        `pressure_derivative` takes each flow period by itself.
+        Of wells with one rate from the start. Raises ResultsError where a rate changes: the
+        dataset's own `pressure_derivative` takes each flow period by itself.
         """
         change = self._variable("pressure_change")
+        self._check_rates(change)
         times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
 
         def of(values: np.ndarray) -> np.ndarray:
@@ -90,7 +91,7 @@ class Results:
 
         Blue is the change, red the derivative; every line has a label, so that `ax.legend()`
         names them. Of cases that failed nothing is drawn. Values of axes of the study choose
-        cases, as `rate=1e-5`, the nearest one; those along the other axes are drawn each.
+        cases, as `rate=1e-5`; those along the other axes are drawn each.
 
         Parameters
         ----------
@@ -99,8 +100,8 @@ class Results:
         since, until : begin and end of the flow period, s.
         time, pressure : units of the axes, as in a study file.
 
-        Raises ResultsError where there is no such well, axis or unit, where more cases are left
-        than can be told apart, or where the rate changes between `since` and `until`.
+        Raises ResultsError where there is no such well, axis, value or unit, where more cases are
+        left than can be told apart, or where the rate changes between `since` and `until`.
         """
         from demflow.sweep.figures.wells import plot_period
 
@@ -116,8 +117,12 @@ class Results:
             if axis not in self._variable("status").dims:
                 there = ", ".join(map(str, self._variable("status").dims)) or "none"
                 raise ResultsError(f"{axis} is no axis of the study; they are {there}")
-            nearest = None if isinstance(value, str) else "nearest"
-            chosen = chosen.sel({axis: value}, method=nearest)
+            values = self._dataset[axis].values
+            places = [k for k, one in enumerate(values) if same_value(one, value)]
+            if not places:  # the nearest one is not taken in silence
+                told = ", ".join(str(one) for one in values)
+                raise ResultsError(f"{axis} = {value} is not there; give one of {told}")
+            chosen = chosen.isel({axis: places[0]})
         return plot_period(chosen, well, ax, since=since, until=until, time=time, pressure=pressure)
 
     def permeability(self) -> xr.Dataset:
@@ -177,6 +182,21 @@ class Results:
             there = ", ".join(map(str, self._dataset.data_vars))
             raise ResultsError(f"the dataset has no {name}; it has {there}")
         return self._dataset[name]
+
+    def _check_rates(self, change: xr.DataArray) -> None:
+        """Raise ResultsError where the rate of a well with a pressure change is not one."""
+        if "well_rate" not in self._dataset:
+            return
+        rate = self._dataset["well_rate"].where(change.notnull())
+        spread = rate.max("elapsed_time") - rate.min("elapsed_time")
+        changes = spread > 1e-9 * abs(rate).max("elapsed_time")
+        changing = changes.any([name for name in changes.dims if name != "well"])
+        if bool(changing.any()):
+            names = ", ".join(str(one) for one in self._dataset["well"].values[changing.values])
+            raise ResultsError(
+                f"the rate of {names} changes, and a derivative is of one flow period; take the "
+                "dataset's own pressure_derivative, or plot_well with since= and until="
+            )
 
     def _named(self, name: str) -> str:
         """A column's name with its unit."""

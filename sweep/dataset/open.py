@@ -188,7 +188,7 @@ def _index(study: Study, at: Mapping[str, Any]) -> tuple[int, ...]:
         if axis.name not in at:
             problems.append(f"{axis.name} is left open; give one of {valid}")
             continue
-        found = [k for k, value in enumerate(values) if _same(value, at[axis.name])]
+        found = [k for k, value in enumerate(values) if same_value(value, at[axis.name])]
         if not found:
             problems.append(f"{axis.name} = {at[axis.name]} is not there; give one of {valid}")
             continue
@@ -198,7 +198,7 @@ def _index(study: Study, at: Mapping[str, Any]) -> tuple[int, ...]:
     return tuple(index)
 
 
-def _same(value: Any, given: Any) -> bool:
+def same_value(value: Any, given: Any) -> bool:
     """Equal up to the last digits, which units and decimal notation take or give."""
     if isinstance(given, xr.DataArray | np.ndarray | np.generic) and given.size == 1:
         given = given.item()

@@ -42,6 +42,15 @@ def test_the_derivative_of_a_logarithm_is_its_slope():
     assert found.attrs["units"] == "Pa"
 
 
+def test_a_derivative_is_of_one_flow_period():
+    dataset = with_rates()
+    dataset.demflow.derivative()
+    late = dataset["elapsed_time"] > 100.0
+    built = dataset.assign(well_rate=dataset["well_rate"].where(~late, 0.0))
+    with pytest.raises(ResultsError, match="the rate of p changes"):
+        built.demflow.derivative()
+
+
 def with_rates():
     """Two good cases, and a derivative that is the slope of the change."""
     dataset = invented().assign(status=("rate", np.full(2, Status.DONE, dtype=np.int8)))
@@ -54,7 +63,7 @@ def with_rates():
 def test_a_well_is_drawn_on_axes_of_the_callers_in_units_of_the_callers():
     dataset = with_rates()
     ax = Figure().subplots()
-    assert dataset.demflow.plot_well("p", ax, rate=1.1e-5, time="min", pressure="bar") is ax
+    assert dataset.demflow.plot_well("p", ax, rate=1e-5, time="min", pressure="bar") is ax
     change, derivative = ax.lines
     times = dataset["elapsed_time"].values
     np.testing.assert_allclose(change.get_xdata(), times / 60.0)
@@ -82,6 +91,7 @@ def test_a_flow_period_is_drawn_by_itself():
     for wrong, told in (
         ({"well": "q"}, "there are p"),
         ({"angle": 1.0}, "is no axis"),
+        ({"rate": 1.1e-5}, "is not there"),
         ({"time": "bar"}, "no unit of a time"),
         ({"since": 1e9}, "no time lies after"),
     ):
