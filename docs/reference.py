@@ -34,6 +34,7 @@ from demflow.sweep.study.scene import (
     InitialForms,
     MapFiles,
     ProbeForms,
+    Sides,
     Times,
     WordOr,
     WordOrBlock,
@@ -271,6 +272,8 @@ def _parameter(section: Section) -> Parameter | None:
         inner = getattr(section, name, None)
         if isinstance(inner, Parameter):
             return inner
+    if isinstance(section, Sides):
+        return _parameter(section.inner)
     if isinstance(section, WordOrBlock):
         return _parameter(section.block.members[section.key].section)
     if isinstance(section, MapFiles | TextFile):
@@ -280,6 +283,8 @@ def _parameter(section: Section) -> Parameter | None:
 
 def _value(section: Section) -> str:
     """What may be written there."""
+    if isinstance(section, Sides):
+        return f"{_form(section.inner.number)} for each name, or blocks, below"
     for kinds, text in _BELOW.items():
         if isinstance(section, kinds) and not isinstance(
             getattr(section, "inner", None), Parameter
@@ -323,8 +328,11 @@ def _inside(section: Section) -> Iterator[tuple[str, Section, str]]:
     elif isinstance(section, Named | Listed):
         yield ".NAME" if isinstance(section, Named) else "[]", section.inner, ""
     elif isinstance(section, Law):
+        words: dict[int, list[str]] = {}
         for word, block in section.laws.items():
-            yield "", block, f"a law with `{word}`"
+            words.setdefault(id(block), []).append(f"`{word}`")
+        for block in {id(block): block for block in section.laws.values()}.values():
+            yield "", block, f"{section.what} with {' or '.join(words[id(block)])}"
     else:
         for name, told in _FORMS.items():
             if hasattr(section, name):

@@ -80,7 +80,8 @@ def _lags(scene: Scene) -> tuple[float, float]:
     """Number of different lags at which responses are kept, and of pairs they are found in."""
     if scene.method == "steady":
         return 1.0, 1.0
-    found, pairs = _lags_of(scene.times, tuple(change_times(sites(scene.wells)).tolist()))
+    changes = change_times(sites(controls_of(scene).wells))
+    found, pairs = _lags_of(scene.times, tuple(changes.tolist()))
     if any(well.decides for well in scene.wells):
         decades = np.log10(scene.times[-1] / scene.times[0]) - np.log10(FIRST_LAG)
         found += LAGS_A_DECADE * float(decades)

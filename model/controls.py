@@ -6,8 +6,10 @@ import itertools
 import math
 from typing import NamedTuple
 
-from demflow.model.flow.equation.sites import WellSite
-from demflow.model.scene import InitialField, Scene, Well
+from demflow.model.flow.equation.sites import InflowSite, Site, WellSite
+from demflow.model.scene import InflowSide, InitialField, Scene, Well
+
+Terminal = Well | InflowSide
 
 Steps = list[list[tuple[float, float]]]  # of each source: time (s), size (Pa or m³/s)
 
@@ -18,11 +20,16 @@ class Controls(NamedTuple):
     reference: float  # Pa, the pressure from which changes count
     initial: float  # Pa, of pores that no source reaches; NaN where none is one for all
     side_pressures: tuple[float, ...]  # Pa, of the sides at fixed pressure
-    wells: tuple[Well, ...]
+    wells: tuple[Terminal, ...]  # and behind them the sides with an inflow, which act like one
     times: tuple[float, ...]  # s
     transient: bool
     start: str = "uniform"  # or gradient, steady: see `model.flow.solvers.registry.flow`
     gradient: tuple[float, float] = (0.0, 0.0)  # Pa/m, of a start from a gradient
+
+    @property
+    def drilled(self) -> tuple[Well, ...]:
+        """The wells without the sides that act like one."""
+        return tuple(well for well in self.wells if isinstance(well, Well))
 
     @property
     def fixed_pressures(self) -> tuple[float, ...]:
@@ -39,10 +46,12 @@ class Controls(NamedTuple):
         return ()
 
 
-def sites(wells: tuple[Well, ...]) -> tuple[WellSite, ...]:
+def sites(wells: tuple[Terminal, ...]) -> tuple[Site, ...]:
     """What the flow stage may know of the wells: all but how much they produce."""
     return tuple(
-        WellSite(
+        InflowSite(w.name, tuple(t for t, _ in w.rate_changes))
+        if isinstance(w, InflowSide)
+        else WellSite(
             name=w.name,
             at=w.at,
             radius=w.effective_radius,
@@ -60,7 +69,7 @@ def controls_of(scene: Scene) -> Controls:
     transient = scene.method != "steady"
     uniform = scene.uniform_pressure
     field = scene.initial_pressure
-    held = [p for _, p in scene.boundaries]
+    held = [p for _, p in scene.held_sides]
     held += [w.pressure_changes[0][1] for w in scene.wells if w.held]
     reference = held[0] if held else 0.0
     gradient = (0.0, 0.0)
@@ -71,8 +80,8 @@ def controls_of(scene: Scene) -> Controls:
     return Controls(
         reference,
         math.nan if uniform is None else uniform,
-        tuple(p for _, p in scene.boundaries),
-        scene.wells,
+        tuple(p for _, p in scene.held_sides),
+        (*scene.wells, *scene.inflow_sides),
         scene.times if transient else (),
         transient,
         scene.start,
@@ -122,17 +131,17 @@ class Block(NamedTuple):
     largest: float  # Pa, ∞ without one
 
 
-def limited_blocks(wells: tuple[Well, ...]) -> list[Block]:
+def limited_blocks(wells: tuple[Terminal, ...]) -> list[Block]:
     """Wells whose rate a limit of pressure may decide, and groups of those that share one."""
     groups: dict[tuple[str, str], list[int]] = {}
     rated = [wells[k] for k in at_rates(wells)]
     for number, well in enumerate(rated):
-        if well.decides:
+        if isinstance(well, Well) and well.decides:
             key = ("well", well.name) if well.group is None else ("group", well.group)
             groups.setdefault(key, []).append(number)
     blocks = []
     for members in groups.values():
-        own = [rated[k] for k in members]
+        own = [well for k in members if isinstance(well := rated[k], Well)]
         least = [w.least_pressure for w in own if w.least_pressure is not None]
         largest = [w.largest_pressure for w in own if w.largest_pressure is not None]
         block = Block(tuple(members), max(least, default=-math.inf), min(largest, default=math.inf))
@@ -140,7 +149,7 @@ def limited_blocks(wells: tuple[Well, ...]) -> list[Block]:
     return blocks
 
 
-def at_rates(wells: tuple[Well, ...]) -> list[int]:
+def at_rates(wells: tuple[Terminal, ...]) -> list[int]:
     """Numbers of the wells at a rate, in the order of their sources."""
     return [k for k, well in enumerate(wells) if not well.held]
 

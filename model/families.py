@@ -33,7 +33,7 @@ def may_be_emulated(scene: Scene) -> bool:
     sides and probes.
     """
     held = any(well.held or well.decides for well in scene.wells)
-    others = any(p != scene.uniform_pressure for _, p in scene.boundaries)
+    others = any(p != scene.uniform_pressure for _, p in scene.held_sides)
     return (
         scene.transient
         and scene.method == "auto"
@@ -41,7 +41,7 @@ def may_be_emulated(scene: Scene) -> bool:
         and EMULATED.issuperset(scene.observe)
         and not scene.coupled
         and scene.rock == scene.region
-        and not (held or others)
+        and not (held or others or scene.inflow_sides)
         and any(fracture.part == "trace" for fracture in scene.fractures)
     )
 
@@ -82,7 +82,7 @@ def asked(scene: Scene) -> dict[str, Any]:
     return {
         "bulk_modulus": scene.fluid and scene.fluid.bulk_modulus,
         "wells": sites(scene.wells),
-        "sides": tuple(name for name, _ in scene.boundaries),
+        "sides": tuple(name for name, _ in scene.held_sides),
         "active": active_sources(scene),
         "probes": scene.probes if "probe_pressure" in scene.observe else (),
         "times": controls_of(scene).times,

@@ -54,7 +54,8 @@ class Solved(NamedTuple):
 class History(NamedTuple):
     """Pressures, rates, flows and volumes of one case at t times.
 
-    w wells, b sides at a fixed pressure, p probes, c times at which some rate changes.
+    w wells, b sides at a pressure or, behind them, with an inflow, p probes, c times at which some
+    rate changes.
     """
 
     times: Array  # (t,) s; a steady state has one, infinity
@@ -67,6 +68,7 @@ class History(NamedTuple):
     volumes: Volumes
     solved: Solved
     probe_place: Array = np.empty((0, 2))  # (p, 2) m: where those pressures are, if known
+    boundary_pressure: Array | None = None  # (b, t) Pa; None: the sides keep theirs
     limited: Array | None = None  # (w, t) 1 where a limit of pressure acts, 0 where a rate does
 
 
@@ -157,21 +159,24 @@ def superposed(responses: Responses, controls: Controls, loads: Loads | None = N
     probes = controls.reference + output[:, len(at_rate) + sides + len(held) :].T
     probes[~responses.probe_reached] = controls.initial
     before = _output(responses, controls, steps, changes) if controls.transient else output[:0]
+    drilled = len(controls.drilled)  # behind the wells are the sides with an inflow
+    kept = np.broadcast_to(np.array(controls.side_pressures)[:, None], (sides, len(times)))
     return History(
         times=times,
-        well_pressure=pressure,
-        well_rate=rate,
-        boundary_flow=flows[:sides],
+        well_pressure=pressure[:drilled],
+        well_rate=rate[:drilled],
+        boundary_flow=np.concatenate([flows[:sides], -rate[drilled:]]),
+        boundary_pressure=np.concatenate([kept, pressure[drilled:]]),
         probe_pressure=probes,
         change_times=changes[: len(before)],
-        pressure_at_changes=pressures(before, changes[: len(before)]),
+        pressure_at_changes=pressures(before, changes[: len(before)])[:drilled],
         volumes=(
             _volumes(responses, controls, steps, times)
             if controls.transient
             else _rates(flows, rate[at_rate], _missing(responses, controls, steps, times))
         ),
         probe_place=responses.probe_place,
-        limited=None if found is None else found.limited,
+        limited=None if found is None else found.limited[:drilled],
         solved=Solved(
             residual=responses.residual,
             range_error=(np.asarray(_out_of_range(responses, controls)) if loads is None else None),

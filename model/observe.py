@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from demflow.model.controls import Controls
+from demflow.model.controls import Controls, Terminal
 from demflow.model.flow.equation.local_rock import spacing_around
 from demflow.model.history import (
     History,
@@ -31,7 +31,7 @@ from demflow.model.products import (
 )
 from demflow.model.quantities import STOPPED
 from demflow.model.region import Region, contains
-from demflow.model.scene import MEASURED_BY_A_TEST, OF_BREAKING, Well
+from demflow.model.scene import MEASURED_BY_A_TEST, OF_BREAKING
 from demflow.model.transient import (
     bourdet_derivative,
     flow_periods,
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from demflow.model.coupling.following import Followed
     from demflow.model.coupling.fracture import Fracturing
 
-IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "probe_pressure")
+IN_TIME = ("well_pressure", "well_rate", "boundary_flow", "boundary_pressure", "probe_pressure")
 NETWORK = (
     *("nodes_i", "nodes_y", "nodes_x", "nodes_rim", "traces", "branches", "clusters"),
     *("p20", "p21", "p22", "backbone"),
@@ -57,6 +57,7 @@ ASKED_FOR_BY = {
     "pressure_change": "well_pressure",
     "pressure_derivative": "well_pressure",
     "boundary_flow": "boundary_flow",
+    "boundary_pressure": "boundary_pressure",
     "probe_pressure": "probe_pressure",
     "probe_place_x": "probe_pressure",
     "probe_place_y": "probe_pressure",
@@ -165,8 +166,9 @@ def _pores(
 
 def _pores_per_well(network: Network, controls: Controls) -> np.ndarray:
     """Diameter of each well over the spacing of the pores around it, (wells,)."""
-    spacing = [spacing_around(network, well.at, well.radius) for well in controls.wells]
-    return np.array([2.0 * w.radius / h for w, h in zip(controls.wells, spacing, strict=True)])
+    wells = controls.drilled
+    spacing = [spacing_around(network, well.at, well.radius) for well in wells]
+    return np.array([2.0 * w.radius / h for w, h in zip(wells, spacing, strict=True)])
 
 
 def _stressed(
@@ -373,7 +375,7 @@ def _share(traces: FractureNetwork, found: dict[str, np.ndarray], controls: Cont
     def last(name: str) -> np.ndarray:
         return found[name][:, -1] if controls.transient else found[name]
 
-    pressure = np.concatenate([controls.side_pressures, last("well_pressure")])
+    pressure = np.concatenate([last("boundary_pressure"), last("well_pressure")])
     alone = np.maximum(traces.conductance @ pressure, 0.0).sum()
     inflow = np.concatenate([last("boundary_flow"), -last("well_rate")])
     moved = np.maximum(inflow, 0.0).sum()
@@ -404,6 +406,9 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     A steady study has no time dimension.
     """
     found = {name: getattr(history, name) for name in IN_TIME}
+    if history.boundary_pressure is None:
+        kept = np.array(controls.side_pressures)[:, None]
+        found["boundary_pressure"] = np.broadcast_to(kept, history.boundary_flow.shape).copy()
     if not controls.transient:
         found = {name: array[:, 0] for name, array in found.items()}
     if len(history.probe_place):
@@ -441,7 +446,8 @@ def _lowest(history: History, controls: Controls) -> dict[str, np.ndarray]:
 
     Extremes lie at sources, by the maximum principle.
     """
-    held = np.array(controls.side_pressures, dtype=float)
+    sides = history.boundary_pressure
+    held = np.array(controls.side_pressures) if sides is None else sides.ravel()
     every = np.concatenate([history.well_pressure.ravel(), history.probe_pressure.ravel(), held])
     known = every[~np.isnan(every)]  # a probe that nothing reaches has no steady pressure
     if not known.size:
@@ -454,7 +460,7 @@ def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:
     """Pressure changes since the last change of each well's rate, and their derivatives."""
     times, pressure = history.times, history.well_pressure
     change, derivative = np.full_like(pressure, np.nan), np.full_like(pressure, np.nan)
-    for k, well in enumerate(controls.wells):
+    for k, well in enumerate(controls.drilled):
         if not well.held:
             felt = _felt_changes(controls.wells, k)
             starts, sign = flow_periods(felt)
@@ -465,7 +471,7 @@ def _changes(history: History, controls: Controls) -> dict[str, np.ndarray]:
     return {"pressure_change": change, "pressure_derivative": derivative}
 
 
-def _felt_changes(wells: tuple[Well, ...], number: int) -> tuple[tuple[float, float], ...]:
+def _felt_changes(wells: tuple[Terminal, ...], number: int) -> tuple[tuple[float, float], ...]:
     """Rate changes by which a well's pressure change is counted, as (s, m³/s).
 
     Its own; of one that never flows, which observes the others, those of their rates in sum.

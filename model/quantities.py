@@ -99,6 +99,13 @@ CASE: dict[str, Quantity] = {
         ("boundary_flow",),
         comment=SUPERPOSED,
     ),
+    "boundary_pressure": Quantity(
+        "Pa",
+        ("boundary", "elapsed_time"),
+        "pressure along the boundary",
+        ("boundary_pressure",),
+        comment=SUPERPOSED,
+    ),
     "probe_pressure": Quantity(
         "Pa",
         ("probe", "elapsed_time"),
@@ -501,7 +508,7 @@ SWEEP: dict[str, Quantity] = {
 COORDINATES: dict[str, Quantity] = {
     "elapsed_time": Quantity("s", ("elapsed_time",), "time since the start"),
     "well": Quantity("", ("well",), "well"),
-    "boundary": Quantity("", ("boundary",), "side of the region at a fixed pressure"),
+    "boundary": Quantity("", ("boundary",), "side of the region with a pressure or an inflow"),
     "probe": Quantity("", ("probe",), "probe"),
     "probe_x": Quantity("m", ("probe",), "x of the probe"),
     "probe_y": Quantity("m", ("probe",), "y of the probe"),

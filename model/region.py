@@ -170,6 +170,25 @@ def named_sides(region: Region, name: str) -> list[int]:
     return [region.sides.index(name)]
 
 
+def side_length(region: Region, name: str) -> float:
+    """Length of the side that a name stands for, m; of all that `outer` does.
+
+    Parameters
+    ----------
+    region : the region
+    name : of a side
+    """
+    wanted, total = named_sides(region, name), 0.0
+    for shape, _, numbers in parts_of(region):
+        if isinstance(shape, Circle):
+            lengths = np.array([2.0 * np.pi * shape.radius])
+        else:
+            corners = np.asarray(shape.vertices, dtype=float)
+            lengths = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+        total += float(lengths[np.isin(numbers, wanted)].sum())
+    return total
+
+
 def bounding_box(region: Region) -> tuple[float, float, float, float]:
     """Smallest upright box (xmin, xmax, ymin, ymax) around the region, m."""
     region = outer_shape(region)

@@ -242,7 +242,7 @@ def _breaking_fluid(scene: Scene) -> Any:
         scene.pipes,
         scene.uniform_pressure or 0.0,
         scene.coupling.least_pressure,
-        scene.boundaries,
+        scene.held_sides,
     )
 
 
@@ -269,8 +269,8 @@ def _never(_: Scene) -> bool:
 _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.rock,
     "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
-    "wells": lambda s: sites(s.wells),
-    "sides": lambda s: tuple(name for name, _ in s.boundaries),
+    "wells": lambda s: sites(controls_of(s).wells),
+    "sides": lambda s: tuple(name for name, _ in s.held_sides),
     "active": active_sources,
     "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
     "times": lambda s: controls_of(s).times,
@@ -495,7 +495,7 @@ STAGES: tuple[Stage, ...] = (
             "load_times": _load_times,
             "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
             "wells": lambda s: sites(s.wells),
-            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+            "sides": lambda s: tuple(name for name, _ in s.held_sides),
             "active": _active,
             "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
             "times": lambda s: controls_of(s).times,
@@ -526,7 +526,7 @@ STAGES: tuple[Stage, ...] = (
             "held": lambda s: s.coupling and s.coupling.held_walls,
             "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
             "wells": lambda s: sites(s.wells),
-            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+            "sides": lambda s: tuple(name for name, _ in s.held_sides),
             "initial": lambda s: s.uniform_pressure,
             "kept": lambda s: controls_of(s).fixed_pressures,
             "rates": lambda s: tuple(w.rate_changes for w in s.wells if w.pressure is None),
@@ -570,7 +570,7 @@ STAGES: tuple[Stage, ...] = (
             "fractures": lambda s: s.fractures,
             "viscosity": _viscosity,
             "wells": lambda s: tuple(WellPlace(w.at, w.effective_radius) for w in s.wells),
-            "sides": lambda s: tuple(name for name, _ in s.boundaries),
+            "sides": lambda s: s.side_names,
         },
         wanted=lambda s: s.needs("fractures"),
         product=FractureNetwork,

@@ -63,6 +63,43 @@ def _fourier(x: np.ndarray, t: np.ndarray) -> np.ndarray:
     return found
 
 
+def linear_flux_response(
+    x: ArrayLike, t: ArrayLike, *, length: float, diffusivity: float, sealed: bool
+) -> np.ndarray:
+    """Pressure rise over q μ / k between a side with a constant flux q and the other side.
+
+    The other side, at x = L, is sealed, or keeps the initial pressure. Images of the first side in
+    both (Carslaw & Jaeger 1959, §2.9 and §12.5): with the rise 2 √(α² t) ierfc(z / 2 √(α² t)) of a
+    half-space at a distance z, Σ (±1)ⁿ (rise(2nL + x) ± rise(2(n+1)L − x)), n = 0, 1, …, plus where
+    the other side is sealed. It converges for every t; some √(α² t) / L terms count.
+
+    Parameters
+    ----------
+    x : distance from the side with the flux, m.
+    t : time since the flux began, s, above zero. Broadcasts with `x`.
+    length : L, distance between the sides, m.
+    diffusivity : α² = k / (φ μ c), m²/s.
+    sealed : whether the other side is sealed; else it keeps the initial pressure.
+
+    Returns
+    -------
+    Rise in m: times q μ / k, q in m/s, that is Pa.
+    """
+    x, t = np.broadcast_arrays(np.asarray(x, dtype=float), np.asarray(t, dtype=float))
+    width = 2.0 * np.sqrt(diffusivity * t)[..., None]
+    n = np.arange(4 + int(4.0 * width.max(initial=0.0) / length))
+    sign = 1.0 if sealed else -1.0
+
+    def rise(distance: np.ndarray) -> np.ndarray:
+        z = distance / width
+        found: np.ndarray = width * (np.exp(-z * z) / np.sqrt(np.pi) - z * erfc(z))
+        return found
+
+    near, far = 2.0 * n * length + x[..., None], 2.0 * (n + 1) * length - x[..., None]
+    total: np.ndarray = (sign**n * (rise(near) + sign * rise(far))).sum(axis=-1)
+    return total
+
+
 def linear_pressure(
     x: ArrayLike,
     t: ArrayLike,

@@ -53,7 +53,8 @@ def march_legs(scene: Scene) -> tuple[Leg, ...]:
     begin = 0.0
     for end in [*[t for t in changes if t < last], last]:
         rates = tuple(
-            None if w.pressure is not None else _rate(w.rate_changes, begin) for w in controls.wells
+            None if w.pressure is not None else _rate(w.rate_changes, begin)
+            for w in controls.drilled
         )
         times = [t for t in controls.times if begin < t <= end]
         for first in range(0, max(len(times), 1), LEG):

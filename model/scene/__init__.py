@@ -28,6 +28,8 @@ from demflow.model.scene.distributions import (
 from demflow.model.scene.flow import (
     LEAST_TOLERANCE,
     Fluid,
+    Inflow,
+    InflowSide,
     InitialField,
     Matrix,
     Probe,
@@ -88,6 +90,8 @@ __all__ = [
     "Grains",
     "Ground",
     "Hole",
+    "Inflow",
+    "InflowSide",
     "InitialField",
     "Joint",
     "JointLine",

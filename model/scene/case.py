@@ -6,11 +6,13 @@ from collections import Counter
 from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Pierced, Region, Shape
+from demflow.model.region import Pierced, Region, Shape, side_length
 from demflow.model.scene.coupling import Coupling, Reckoned, coupling_problems, reckoned
 from demflow.model.scene.flow import (
     Boundary,
     Fluid,
+    Inflow,
+    InflowSide,
     InitialField,
     Matrix,
     Probe,
@@ -44,6 +46,7 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "permeability": (*_PORES, "measure"),
     "pressure_map": (*_PORES, "flow"),
     "boundary_flow": (*_PORES, "flow"),
+    "boundary_pressure": (*_PORES, "flow"),
     "probe_pressure": (*_PORES, "flow"),
     "wall_displacement": (*_PORES, "consolidate"),
     "effective_stress": (*_PORES, "consolidate"),
@@ -69,6 +72,7 @@ _OBSERVED = {
     "well_pressure": ("wells", "there is no well"),
     "probe_pressure": ("probes", "there is no probe"),
     "boundary_flow": ("boundaries", "every side is sealed"),
+    "boundary_pressure": ("boundaries", "every side is sealed"),
     "elastic_moduli": ("bonds", "there are no bonds"),
     "force_chains": ("stress", "there is no stress"),
     "crack_length": ("breaks", "nothing breaks; add coupling: breaking"),
@@ -222,7 +226,7 @@ class Scene:
     def reckoned(self) -> Reckoned:
         """What is known beforehand of apertures that follow forces; what coupling: auto takes."""
         start = self.uniform_pressure or 0.0
-        kept = [p for _, p in self.boundaries]
+        kept = [p for _, p in self.held_sides]
         kept += [well.pressure for well in self.wells if well.pressure is not None]
         changes = [p - start for p in kept] if self.uniform_pressure is not None else []
         changes += [0.5 * load for changes in self.loads or () for _, load in changes]
@@ -247,7 +251,26 @@ class Scene:
     @property
     def keeps_a_pressure(self) -> bool:
         """Whether a side or a well has a fixed pressure."""
-        return bool(self.boundaries) or any(well.held for well in self.wells)
+        return bool(self.held_sides) or any(well.held for well in self.wells)
+
+    @property
+    def held_sides(self) -> tuple[tuple[str, float], ...]:
+        """The sides that keep a pressure, with it in Pa."""
+        return tuple((name, p) for name, p in self.boundaries if not isinstance(p, Inflow))
+
+    @property
+    def inflow_sides(self) -> tuple[InflowSide, ...]:
+        """The sides with a given inflow."""
+        return tuple(
+            InflowSide(name, tuple((t, -q) for t, q in given.changes(side_length(self.rock, name))))
+            for name, given in self.boundaries
+            if isinstance(given, Inflow) and name in (*self.rock.sides, "outer")
+        )
+
+    @property
+    def side_names(self) -> tuple[str, ...]:
+        """Names of the sides that are not sealed, in the order of results: held ones first."""
+        return (*(name for name, _ in self.held_sides), *(side.name for side in self.inflow_sides))
 
     def _name_problems(self) -> Problems:
         """Names that stand for two things."""
@@ -318,6 +341,10 @@ class Scene:
             return
         if self.gravity is not None:
             yield "gravity", "a coupled specimen has no weight; leave gravity or coupling out"
+        for side in self.inflow_sides:
+            what = "a side with an inflow is for rock without coupling; give it a pressure"
+            yield f"boundaries.{side.name}", what
+        yield from self._coupled_time_problems()
         for well in self.wells:
             if well.decides or well.pressure_schedule is not None:
                 what = "limits, groups and schedules of pressures are for wells without coupling"
@@ -332,10 +359,6 @@ class Scene:
         )
         if self.breaks:
             yield from self._breaking_problems()
-        if self.flows and not self.transient:
-            yield "coupling", "grains move while fluid does; give times, or leave coupling out"
-        if self.solver.method == "explicit":
-            yield "solver.method", "explicit solves no coupled transient; take auto, or krylov"
         if self.coupling_method == "apertures":
             yield from self._aperture_problems()
         if "time_error" in self.observe:
@@ -343,6 +366,13 @@ class Scene:
             yield "observe", what
         if "permeability" in self.observe and self.fractures:
             yield "observe", "permeability of a coupled specimen is measured without fractures"
+
+    def _coupled_time_problems(self) -> Problems:
+        """What does not go with coupling, of how it goes on in time."""
+        if self.flows and not self.transient:
+            yield "coupling", "grains move while fluid does; give times, or leave coupling out"
+        if self.solver.method == "explicit":
+            yield "solver.method", "explicit solves no coupled transient; take auto, or krylov"
         if self.start == "steady":
             what = "a coupled transient starts from one pressure, or a linear field"
             yield "initial_pressure", what
@@ -392,7 +422,7 @@ class Scene:
         elif not self.keeps_a_pressure:
             what = "without a fixed pressure anywhere there is no steady state to start from"
             yield "initial_pressure", what
-        elif self.flows and all(well.held for well in self.wells):
+        elif self.flows and not self.inflow_sides and all(well.held for well in self.wells):
             what = "from the steady state nothing changes; give a well at a rate, or no times"
             yield "initial_pressure", what
 
@@ -409,3 +439,6 @@ class Scene:
             for key in ("schedule", "pressure_schedule"):
                 if len(getattr(well, key) or ()) > 1:
                     yield f"wells.{well.name}.{key}", "a schedule has no steady state"
+        for side in self.inflow_sides:
+            if len(side.rate_changes) > 1:
+                yield f"boundaries.{side.name}.schedule", "a schedule has no steady state"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +17,8 @@ __all__ = [
     "STANDARD_GRAVITY",
     "Boundary",
     "Fluid",
+    "Inflow",
+    "InflowSide",
     "InitialField",
     "Matrix",
     "Probe",
@@ -29,7 +32,7 @@ __all__ = [
     "well_problems",
 ]
 
-Boundary = tuple[str, float]  # name of a side and the pressure that it keeps, Pa
+Changes = tuple[tuple[float, float], ...]  # times (s) and what is new from each on
 
 STANDARD_GRAVITY = 9.80665  # m/s², by which a hydraulic conductivity is one
 
@@ -175,24 +178,11 @@ class Well:
         if self.held and self.wellbore_storage > 0.0:
             what = "a well at constant pressure takes nothing from its wellbore; leave it out"
             raise SceneError([("wellbore_storage", what)])
-        for key in ("schedule", "pressure_schedule"):
-            self._check_schedule(key)
-
-    def _check_schedule(self, key: str) -> None:
-        """Raise `SceneError` for a schedule that cannot be."""
-        schedule = getattr(self, key)
-        if schedule is None:
-            return
-        starts = [t for t, _ in schedule]
-        if not starts:
-            raise SceneError([(key, "the schedule is empty")])
-        if not all(math.isfinite(v) for entry in schedule for v in entry):
-            what = "rates" if key == "schedule" else "pressures"
-            raise SceneError([(key, f"times and {what} must be finite")])
-        if starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
-            raise SceneError([(key, "times must increase, from 0 s on")])
-        if key == "pressure_schedule" and starts[0] > 0:
-            raise SceneError([(key, "a well at a pressure has one from the start; begin at 0 s")])
+        _check_schedule("schedule", self.schedule, "rates")
+        _check_schedule("pressure_schedule", self.pressure_schedule, "pressures")
+        if self.pressure_schedule is not None and self.pressure_schedule[0][0] > 0:
+            what = "a well at a pressure has one from the start; begin at 0 s"
+            raise SceneError([("pressure_schedule", what)])
 
     @property
     def held(self) -> bool:
@@ -223,6 +213,70 @@ class Well:
         if self.schedule is not None:
             return self.schedule
         return () if self.rate is None else ((0.0, self.rate),)
+
+
+@dataclass(frozen=True, slots=True)
+class Inflow:
+    """A flow through a side of the region, in place of a pressure that the side keeps.
+
+    The pressure is one along the side, as in a gallery, and what the flow makes of it.
+    """
+
+    inflow: float | None = parameter(
+        "m3/s",
+        default=None,
+        help="constant flow into the region through the whole side; negative flows out",
+    )
+    flux: float | None = parameter(
+        "m/s",
+        default=None,
+        example="200 mm/year",
+        help="the same per area of the side, as recharge is given",
+    )
+    schedule: tuple[tuple[float, float], ...] | None = parameter(
+        "s, m3/s", default=None, help="changes of the inflow [[time, inflow], …]"
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        ways = ("inflow", "flux", "schedule")
+        given = [k for k in ways if getattr(self, k) is not None]
+        if len(given) != 1:
+            where = given[0] if given else ""
+            raise SceneError([(where, f"give exactly one of {', '.join(ways)}")])
+        _check_schedule("schedule", self.schedule, "inflows")
+
+    def changes(self, length: float) -> Changes:
+        """Times (s) and new inflows (m³/s) of a side of a length (m)."""
+        rate = self.inflow if self.flux is None else self.flux * length
+        return self.schedule or ((0.0, rate or 0.0),)
+
+
+Boundary = tuple[str, float | Inflow]  # name of a side, and the pressure (Pa) that it keeps
+
+
+@dataclass(frozen=True, slots=True)
+class InflowSide:
+    """A side with an inflow; it acts as a well at a rate whose wall is the side."""
+
+    name: str
+    rate_changes: Changes  # s, m³/s out of the region, as a well's
+    pressure_changes: ClassVar[Changes] = ()
+    held: ClassVar[bool] = False
+    decides: ClassVar[bool] = False
+
+
+def _check_schedule(key: str, schedule: Changes | None, what: str) -> None:
+    """Raise `SceneError` for a schedule of some quantity that cannot be."""
+    if schedule is None:
+        return
+    starts = [t for t, _ in schedule]
+    if not starts:
+        raise SceneError([(key, "the schedule is empty")])
+    if not all(math.isfinite(v) for entry in schedule for v in entry):
+        raise SceneError([(key, f"times and {what} must be finite")])
+    if starts[0] < 0 or any(b <= a for a, b in itertools.pairwise(starts)):
+        raise SceneError([(key, "times must increase, from 0 s on")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -346,13 +400,13 @@ def conductivity_problems(matrix: Matrix | None, fluid: Fluid | None) -> Problem
 
 
 def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Problems:
-    """What is wrong with the pressures that sides keep."""
+    """What is wrong with what is given at sides."""
     sides = {*region.sides, "outer"}
-    for name, pressure in boundaries:
+    for name, given in boundaries:
         if name not in sides:
             known = ", ".join(sorted(sides))
             yield f"boundaries.{name}", f"the region has no such side, only {known}"
-        if not math.isfinite(pressure):
+        if not isinstance(given, Inflow) and not math.isfinite(given):
             yield f"boundaries.{name}", "the pressure is not a finite number"
     outer = {name for name, _ in boundaries} & set(outer_shape(region).sides) - {"outer"}
     if outer and any(name == "outer" for name, _ in boundaries):

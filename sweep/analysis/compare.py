@@ -43,10 +43,11 @@ def comparison_problem(scene: Scene, kind: str) -> str | None:
 
 
 def _linear_problem(scene: Scene) -> str | None:
-    pressures = dict(scene.boundaries)
+    pressures = dict(scene.held_sides)
     if not isinstance(scene.region, Rectangle):
         return "linear flow needs a rectangle"
-    if set(pressures) not in ({"left", "right"}, {"bottom", "top"}) or scene.wells:
+    opposite = set(pressures) in ({"left", "right"}, {"bottom", "top"})
+    if not opposite or scene.wells or scene.inflow_sides:
         return "linear flow needs pressures on two opposite sides and no well"
     if len(set(pressures.values())) == 1:
         return "the two sides have the same pressure"
@@ -62,7 +63,7 @@ def _radial_problem(scene: Scene) -> str | None:
         return "radial flow needs one well at a constant rate"
     if math.hypot(*scene.wells[0].at) > 1e-9 * scene.region.radius:
         return "the well must stand in the middle"
-    if dict(scene.boundaries) != {"outer": scene.initial_pressure}:
+    if scene.inflow_sides or dict(scene.held_sides) != {"outer": scene.initial_pressure}:
         return "the outer boundary must keep the initial pressure"
     if "well_pressure" not in scene.observe:
         return "radial flow is compared at the well: observe well_pressure"

@@ -60,7 +60,7 @@ class _Sample(NamedTuple):
 
 def _sample(scene: Scene, maps: xr.Dataset) -> _Sample:
     assert isinstance(scene.region, Rectangle)
-    pressures = dict(scene.boundaries)
+    pressures = dict(scene.held_sides)
     length, width = scene.region.width, scene.region.height
     sides, along = ("left", "right"), "x"
     if "left" not in pressures:

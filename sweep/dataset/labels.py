@@ -70,7 +70,7 @@ def labels_of(plan: Plan, scene_of: Callable[[int], Scene]) -> Labels:
         seeds.add(scene.grains.seed)
         own = {
             "well": tuple(well.name for well in scene.wells),
-            "boundary": tuple(side for side, _ in scene.boundaries),
+            "boundary": scene.side_names,
             "probe": tuple(probe.name for probe in scene.probes),
         }
         for dimension, named in own.items():

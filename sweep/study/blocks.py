@@ -248,6 +248,7 @@ class Law(Section):
 
     number: Parameter
     laws: dict[str, Block]  # by their first key
+    what: str = "a law"  # for messages
 
     def read(self, node: Node, path: str, reading: Reading) -> Any:
         """A number, or values by key."""
@@ -256,10 +257,9 @@ class Law(Section):
         for key, block in self.laws.items():
             if key in node.entries:
                 return block.read(node, path, reading)
-        forms = "; ".join(f"{{{', '.join(block.members)}}}" for block in self.laws.values())
-        reading.report(
-            node.place, f"{where(path)} is a number, or a law with the keys {forms}", path
-        )
+        forms = (f"{{{', '.join(block.members)}}}" for block in self.laws.values())
+        said = f"{where(path)} is a number, or {self.what} with the keys "
+        reading.report(node.place, said + "; ".join(dict.fromkeys(forms)), path)
         return self.number.stand_in()
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
@@ -307,9 +307,9 @@ class Named(Section):
         for name, value in node.entries.items():
             inner = join(path, name)
             reading.places[inner] = (
-                value.place if isinstance(self.inner, Parameter) else node.keys[name]
+                value.place if isinstance(self.inner, Parameter | Law) else node.keys[name]
             )
-            if not isinstance(self.inner, Parameter) and not is_name(name):
+            if not isinstance(self.inner, Parameter | Law) and not is_name(name):
                 message = f"'{name}' is no name; use {NAME_RULE}"
                 reading.report(node.keys[name], message, inner)
             if _empty(value):

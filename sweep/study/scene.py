@@ -29,6 +29,7 @@ from demflow.model.scene import (
     Excavation,
     FractureSet,
     Grains,
+    Inflow,
     InitialField,
     MapFile,
     Polygon,
@@ -44,6 +45,7 @@ from demflow.model.scene import (
 )
 from demflow.sweep.study.blocks import (
     Block,
+    Law,
     Listed,
     Named,
     Specials,
@@ -59,6 +61,7 @@ from demflow.sweep.study.sections import (
     Parameter,
     Reading,
     Section,
+    join,
     shape,
 )
 from demflow.sweep.study.units import nearest
@@ -237,6 +240,25 @@ class InitialForms(Section):
 
 
 @dataclass(frozen=True)
+class Sides(Named):
+    """Sides of the region by name: a pressure that each keeps, or a block with its inflow."""
+
+    def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
+        """Pairs of a name and a pressure or an inflow, in the order of the file."""
+        return tuple(
+            (name, self.inner.build(value, join(path, name), problems))
+            for name, value in values.items()
+        )
+
+    def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
+        """The parameter of one of the sides; a pressure also of one that is not there."""
+        if not parts:
+            raise NoParameter
+        found: Parameter = self.inner.find((values or {}).get(parts[0]), parts[1:])
+        return found
+
+
+@dataclass(frozen=True)
 class WordOrBlock(Section):
     """A block, or the word that stands for the rest of it: `linear` for `{method: linear}`."""
 
@@ -380,13 +402,15 @@ def spaced(first: float, last: float, count: int, *, log: bool) -> tuple[float, 
 def _scene() -> Block:
     time = dataclasses.fields(LogTimes)[0]
     pressure = parameter("Pa", help="pressure at this side of the region")
+    flow_in = block_of(Inflow)
+    inflow = dict.fromkeys(flow_in.members, flow_in)
     initial = next(f for f in dataclasses.fields(Scene) if f.name == "initial_pressure")
     special: dict[str, Section] = {
         "initial_pressure": InitialForms(
             Parameter(initial, float, optional=True), block_of(InitialField)
         ),
         "coupling": WordOrBlock("method", block_of(Coupling)),
-        "boundaries": Named(Parameter(pressure, float, optional=False)),
+        "boundaries": Sides(Law(Parameter(pressure, float, optional=False), inflow, "a block")),
         "probes": Named(ProbeForms(block_of(Probe), block_of(ProbeLine))),
         "excavate": Listed(blocks_of(typing.get_args(Excavation), WORDS)),
         "times": Times(Parameter(time, tuple[float, ...], optional=False), block_of(LogTimes)),

@@ -186,7 +186,8 @@ def _schema(section: Section) -> Schema:
     if isinstance(section, Listed):
         return {"type": "array", "items": _schema(section.inner)}
     if isinstance(section, Law):
-        laws = [_block(block, {}) for block in section.laws.values()]
+        blocks = {id(block): block for block in section.laws.values()}  # several keys, one block
+        laws = [_block(block, {}) for block in blocks.values()]
         return {"anyOf": [_schema(section.number), *laws]}
     if isinstance(section, WordOr):
         return {"anyOf": [{"enum": list(section.words)}, _schema(section.value)]}

@@ -59,7 +59,8 @@ def algebraic(system: System) -> Algebraic:
     np.add.at(matrix, (np.arange(wells), np.arange(wells)), system.excess[pores:])
     if wells and not np.diag(matrix).all():
         raise ModelError(
-            "a well touches no conducting pipe: move it, widen it, or give the matrix an aperture"
+            "a well, or a side with an inflow, touches no conducting pipe: move or widen the well, "
+            "or give the matrix an aperture"
         )
     coupling = csr_array(
         (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),

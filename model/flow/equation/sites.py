@@ -34,6 +34,18 @@ class WellSite(NamedTuple):
     storage: float = 0.0  # m³/Pa for unit depth
 
 
+class InflowSite(NamedTuple):
+    """What the flow stage knows of a side with an inflow: it acts as a well at a rate."""
+
+    name: str
+    change_times: tuple[float, ...]  # s, when its inflow changes
+    fixed_pressure: bool = False
+    storage: float = 0.0  # m³/Pa
+
+
+Site = WellSite | InflowSite
+
+
 def time_since(change: np.ndarray | float, times: np.ndarray) -> np.ndarray:
     """Time since a change, s; exactly 0 where only round-off parts the two."""
     since = times - change
@@ -41,6 +53,6 @@ def time_since(change: np.ndarray | float, times: np.ndarray) -> np.ndarray:
     return np.where(same, 0.0, since)
 
 
-def change_times(wells: tuple[WellSite, ...]) -> np.ndarray:
+def change_times(wells: tuple[Site, ...]) -> np.ndarray:
     """Times at which something changes: the start and every rate change, increasing, s."""
     return np.unique([0.0, *(t for well in wells for t in well.change_times)])

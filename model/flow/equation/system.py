@@ -13,7 +13,7 @@ import numpy as np
 
 from demflow.model.flow.equation.branches import branches, wells_of_nodes
 from demflow.model.flow.equation.local_rock import mobility_around, spacing_around
-from demflow.model.flow.equation.sites import WellSite
+from demflow.model.flow.equation.sites import InflowSite, Site, WellSite
 from demflow.model.flow.equation.well_field import well_field
 from demflow.model.flow.equation.wells import (
     Edges,
@@ -121,7 +121,7 @@ def assemble(
     *,
     region: Region,
     bulk_modulus: float,
-    wells: tuple[WellSite, ...],
+    wells: tuple[Site, ...],
     sides: tuple[str, ...],
     at_side: np.ndarray | None = None,
 ) -> System:
@@ -131,9 +131,11 @@ def assemble(
     (`outer` takes all of them); the others are sealed. A pore in a well shares the well's
     pressure and stores nothing of its own; what joins a well to the pores around gives it the
     pressure of a well in a continuum of the rock there (`wells.join_wells`), and a trace that
-    passes a well meets its wall. A skin S adds q μ S / (2π k) to the fall of the well's
-    pressure (van Everdingen 1953, Trans. AIME 198; Agarwal, Al-Hussainy & Ramey 1970, SPE J.
-    10, 279–290), with the permeability of the rock around the well.
+    passes a well meets its wall. A side with an inflow is a well at a rate whose wall is the side:
+    the pipes across the rim end at its pressure, which is one along the side. A skin S adds
+    q μ S / (2π k) to the fall of the well's pressure (van Everdingen 1953, Trans. AIME 198;
+    Agarwal, Al-Hussainy & Ramey 1970, SPE J. 10, 279–290), with the permeability of the rock
+    around the well.
 
     In a rock that deforms every pore is an unknown, whether flow reaches it or not. Of its pores
     between walls `at_side` (d,) then says which side holds the pressure of each, −1 none.
@@ -148,7 +150,7 @@ def assemble(
     apertures : how far they are open, and traces with nodes of their own
     region : where the case lies, m
     bulk_modulus : of the fluid, Pa
-    wells : the wells
+    wells : the wells, then the sides with an inflow
     sides : names of the sides at fixed pressure; `outer` takes all of them
     """
     _check_numbers(network, apertures)
@@ -157,24 +159,27 @@ def assemble(
     storing = np.array([wells[k].storage for k in rate_wells])
     last_empty = np.argsort(storing == 0.0, kind="stable")  # wells that store nothing come last
     order = np.argsort(last_empty)
-    placed = _placed(network, apertures, region, wells, sides)
-    well_of = np.append(np.full(len(network.x), -1), wells_of_nodes(apertures, wells))
-    for k in reversed(range(len(wells))):
+    drilled = tuple(w for w in wells if isinstance(w, WellSite))
+    ends = (*(w.name for w in wells if isinstance(w, InflowSite)), *sides)  # of pipes at the rim
+    placed = _placed(network, apertures, region, drilled, ends)
+    well_of = np.append(np.full(len(network.x), -1), wells_of_nodes(apertures, drilled))
+    for k in reversed(range(len(drilled))):
         well_of[placed.taken[k]] = k
 
-    # Everything that flow can reach is a terminal: places, then the wells, then the sides.
+    # Everything that flow can reach is a terminal: places, then the wells, then the sides, those
+    # with an inflow first.
     d, w = len(well_of), len(wells)
     inside = np.append(network.inside, np.ones(len(apertures.node_x), dtype=bool))
     terminal = np.where(well_of >= 0, d + well_of, np.where(inside, np.arange(d), -1))
-    side = _sides_of_nodes(apertures, sources_of_sides(region, sides))
-    terminal[len(network.x) :][side >= 0] = d + w + side[side >= 0]
+    side = _sides_of_nodes(apertures, sources_of_sides(region, ends))
+    terminal[len(network.x) :][side >= 0] = d + len(drilled) + side[side >= 0]
     if at_side is not None:
         stands = np.flatnonzero((at_side >= 0) & (well_of[: len(at_side)] < 0))
         terminal[stands] = d + w + at_side[stands]
     held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
     held[d + w :] = np.arange(len(sides))
     held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
-    a, b, g = _connections(network, apertures, region, placed, sides, terminal)
+    a, b, g = _connections(network, apertures, region, placed, ends, terminal)
     a, b = np.where(held[a] >= 0, b, a), np.where(held[a] >= 0, a, b)
     free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
     between = held[a] >= 0

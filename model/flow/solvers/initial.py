@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.flow.equation.problem import Answer, Problem, fill_map
-from demflow.model.flow.equation.sites import WellSite
+from demflow.model.flow.equation.sites import Site, WellSite
 from demflow.model.flow.equation.system import System, without_outlet
 from demflow.model.flow.solvers.steady import steady
 from demflow.model.outcome import ModelError
@@ -33,7 +33,7 @@ class Initial(NamedTuple):
 
 
 def with_linear_fields(
-    system: System, network: Network, apertures: Apertures, wells: tuple[WellSite, ...]
+    system: System, network: Network, apertures: Apertures, wells: tuple[Site, ...]
 ) -> System:
     """The system with the fields x and y (m), for a pressure gradient of 1 Pa/m along either.
 
@@ -48,7 +48,9 @@ def with_linear_fields(
     x, y = np.append(network.x, apertures.node_x), np.append(network.y, apertures.node_y)
     for field, places, axis in zip(fields, (x, y), (0, 1), strict=True):
         field[: len(system.domain)] = places[system.domain]
-        field[system.well_node] = [wells[k].at[axis] for k in system.rate_wells]
+        for node, well in zip(system.well_node, (wells[k] for k in system.rate_wells), strict=True):
+            # the pressure of a side with an inflow follows the pores beside it at once
+            field[node] = well.at[axis] if isinstance(well, WellSite) else 0.0
     return system._replace(initial=fields)
 
 

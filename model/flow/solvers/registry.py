@@ -14,7 +14,7 @@ from demflow.model.flow.equation.problem import Answer, Problem, Steps
 from demflow.model.flow.equation.sites import (
     FIRST_LAG,
     LAGS_A_DECADE,
-    WellSite,
+    Site,
     change_times,
     time_since,
 )
@@ -129,9 +129,7 @@ def solve(method: str, problem: Problem) -> tuple[Choice, Answer]:
     raise first or ModelError("no solver can answer; name one as solver.method")
 
 
-def lags(
-    times: tuple[float, ...], wells: tuple[WellSite, ...], *, fine: bool = False
-) -> np.ndarray:
+def lags(times: tuple[float, ...], wells: tuple[Site, ...], *, fine: bool = False) -> np.ndarray:
     """Times since a step at which responses are needed, increasing, s.
 
     The pressure is wanted at `times` and just before every rate change; the steps are
@@ -171,7 +169,7 @@ def flow(
     *,
     region: Region,
     bulk_modulus: float,
-    wells: tuple[WellSite, ...],
+    wells: tuple[Site, ...],
     sides: tuple[str, ...],
     active: tuple[bool, ...],
     probes: tuple[Probe, ...],
@@ -196,7 +194,8 @@ def flow(
     network, apertures : the open network; conductances in m³/(s Pa), volumes in m³, for unit depth.
     region : part of the scene.
     bulk_modulus : K_f of the fluid, Pa.
-    wells : where the wells are (m) and when they change (s), not how much.
+    wells : where the wells are (m) and when they change (s), not how much; then the sides with
+        an inflow, which act as wells at a rate.
     sides : names of the sides at fixed pressure.
     active : for each source (sides, wells at a pressure, wells at a rate, then the gradients
         along x and y of a start from a gradient), whether it acts.
@@ -275,7 +274,7 @@ def pose(
     *,
     region: Region,
     bulk_modulus: float,
-    wells: tuple[WellSite, ...],
+    wells: tuple[Site, ...],
     sides: tuple[str, ...],
     active: tuple[bool, ...],
     probes: tuple[Probe, ...],
@@ -382,7 +381,7 @@ def _mapped(network: Network, apertures: Apertures) -> np.ndarray:
 
 
 def _steps(
-    wells: tuple[WellSite, ...], sides: int, initial: str, decades: tuple[int, ...] | None
+    wells: tuple[Site, ...], sides: int, initial: str, decades: tuple[int, ...] | None
 ) -> Steps:
     """What is known of the steps of every source."""
     held = sides + sum(well.fixed_pressure for well in wells)
