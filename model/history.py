@@ -76,8 +76,7 @@ def marched(fractured: Fracturing, controls: Controls) -> History:
     """The history of a march through breaking bonds; NaN after it came to an early end."""
     kept, t, sides = fractured.records, len(controls.times), len(controls.side_pressures)
     rows = {name: until(getattr(kept, name), t) for name in kept._fields}
-    moved = np.abs(rows["stored"]) + np.abs(rows["injected"])
-    moved = moved + np.abs(rows["let_in"].reshape(t, -1)).sum(axis=1)
+    moved = np.abs(kept.stored) + np.abs(kept.injected) + np.abs(kept.let_in).sum(axis=1)
     changes = change_times(sites(controls.wells))
     before = np.full((len(controls.wells), len(changes)), np.nan)
     before[:, 0] = controls.initial
@@ -93,9 +92,9 @@ def marched(fractured: Fracturing, controls: Controls) -> History:
         change_times=changes,
         pressure_at_changes=before,
         volumes=Volumes(
-            stored=rows["stored"],
-            let_in=rows["let_in"].reshape(t, -1),
-            produced=-rows["injected"],
+            stored=kept.stored,
+            let_in=kept.let_in,
+            produced=-kept.injected,
             moved=moved,
             missing=fractured.unbalanced * moved,
         ),

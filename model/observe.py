@@ -273,6 +273,8 @@ def _fractured(
     fractured: Fracturing, controls: Controls, wanted: tuple[str, ...]
 ) -> dict[str, np.ndarray]:
     """What broke, how far the crack went and what that took."""
+    from demflow.model.coupling.skeleton import SLID
+
     kept, events = fractured.records, fractured.events
     found = {
         "event_time": events.time,
@@ -281,7 +283,7 @@ def _fractured(
         "event_mode": events.mode.astype(float),
         "event_energy": events.energy,
         "event_pore": events.pore.astype(float),
-        "broken_bonds": np.asarray(len(events.time)),
+        "broken_bonds": np.asarray(np.count_nonzero(events.mode != SLID)),
         "tension_cracks": np.asarray(np.count_nonzero(events.mode == 1)),
         "shear_cracks": np.asarray(np.count_nonzero(events.mode == 2)),
         STOPPED: np.asarray(str(fractured.state.stopped)),
@@ -308,8 +310,15 @@ def _fractured(
     if "injected_volume" in wanted:
         injected = kept.injected + kept.let_in[:, len(controls.side_pressures) :].sum(axis=-1)
         in_time |= {"injected_volume": injected, "leaked_volume": kept.leaked}
+    if "joint_slip" in wanted:
+        slips = ("joint_slip", "largest_joint_slip", "slid_joint_share")
+        in_time |= dict(zip(slips, kept.slip.T, strict=True))
+        found["slide_events"] = np.asarray(np.count_nonzero(events.mode == SLID))
+    if "permeability_in_time" in wanted:
+        in_time["permeability_in_time"] = kept.permeability
+        found["permeability_at_start"] = fractured.permeability
     for name, array in in_time.items():
-        if name in wanted or name == "leaked_volume":
+        if name != "crack_length" or name in wanted:
             found[name] = until(array, len(controls.times))
     return found
 

@@ -41,7 +41,7 @@ STOPPED = "stopped"  # of a case that has it and no empty word there; the datase
 FAILURE = "failure"  # of a member of a family that has it, and no empty word: why it has no result
 
 _NETWORK = ("fracture_network",)
-_BREAKING = ("crack_length", "injected_volume")
+_BREAKING = ("crack_length", "injected_volume", "joint_slip")
 
 
 # Variables of the dataset, one value or array per case.
@@ -356,7 +356,11 @@ CASE: dict[str, Quantity] = {
     "event_time": Quantity("s", ("event",), "time of the event"),
     "event_x": Quantity("m", ("event",), "x of the bond or joint contact"),
     "event_y": Quantity("m", ("event",), "y of the bond or joint contact"),
-    "event_mode": Quantity("1", ("event",), "1 broken in tension, 2 in shear"),
+    "event_mode": Quantity(
+        "1",
+        ("event",),
+        "1 broken in tension, 2 in shear, 3 a contact of a joint began to slide",
+    ),
     "event_pore": Quantity(
         "1", ("event",), "domain beside it of the higher pressure, -1 where no pipe runs there"
     ),
@@ -366,6 +370,33 @@ CASE: dict[str, Quantity] = {
         ("elapsed_time",),
         "length of what broke, from pore to pore through each broken contact",
         ("crack_length",),
+    ),
+    "joint_slip": Quantity(
+        "m",
+        ("elapsed_time",),
+        "mean slip of the joints since the start, over their length",
+        ("joint_slip",),
+        comment="length of the way that contacts slid, to and fro; elastic shear is none",
+    ),
+    "largest_joint_slip": Quantity(
+        "m", ("elapsed_time",), "largest slip of a contact of the joints", ("joint_slip",)
+    ),
+    "slid_joint_share": Quantity(
+        "1", ("elapsed_time",), "part of the joints' length that ever slid", ("joint_slip",)
+    ),
+    "slide_events": Quantity("1", (), "contacts of joints that began to slide", ("joint_slip",)),
+    "permeability_in_time": Quantity(
+        "m2",
+        ("elapsed_time", "row", "column"),
+        "permeability tensor of the rock with its joints and cracks as they stand",
+        ("permeability_in_time",),
+        comment="with a pressure linear along the rim of a part off the walls",
+    ),
+    "permeability_at_start": Quantity(
+        "m2",
+        ("row", "column"),
+        "the same of the loaded rock at time zero",
+        ("permeability_in_time",),
     ),
     "highest_well_pressure": Quantity(
         "Pa", ("well",), "highest pressure of the well after any step of a march through breaks"

@@ -544,7 +544,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="fracture",
         function="demflow.model.coupling.fracture:fracture",
-        version=2,
+        version=3,
         parents=("pack", "calibrate", "fracture"),
         reads={
             "rock": _breaking_rock,
@@ -553,6 +553,9 @@ STAGES: tuple[Stage, ...] = (
             "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
             "tolerance": lambda s: s.coupling and s.coupling.step_error,
             "record_map": lambda s: "pressure_map" in s.observe,
+        },
+        options={
+            "record_permeability": lambda s: "permeability_in_time" in s.observe or None,
         },
         wanted=lambda s: s.flows and s.breaks,
         product="demflow.model.coupling.fracture:Fracturing",

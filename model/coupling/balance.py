@@ -23,7 +23,15 @@ import numpy as np
 from scipy.sparse import coo_array, csr_array, diags_array, vstack
 
 from demflow.model.coupling.matrix import StepMatrix
-from demflow.model.coupling.skeleton import Borne, Hold, Skeleton, borne, forces
+from demflow.model.coupling.skeleton import (
+    FIRM,
+    Borne,
+    Hold,
+    Skeleton,
+    borne,
+    forces,
+    remembered,
+)
 from demflow.model.mechanics.contact.grains import Array
 
 MOST_ITERATIONS = 12
@@ -32,6 +40,8 @@ TOLERANCE = 1e-8  # of forces over the mean contact force
 STRICTER = 1e3  # volumes are held to it by so much more
 ENOUGH = 1e-4  # where sliding contacts take turns, so that no iteration comes closer
 EQUATION = 1e-5  # relative residual of the equations of Newton's method
+OILS = (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3)  # grips, over k_n
+SETTLED = 1e-3  # force that they still bear, over the mean contact force
 LONGEST = 0.1  # mean radii by which an iteration moves grains at most
 
 
@@ -100,7 +110,8 @@ class Openings(NamedTuple):
 def openings(case: Case, hold: Hold, found: Borne) -> tuple[Openings, Openings]:
     """Apertures of the pipes and of the links, m.
 
-    Under compression w0 F0 / (F + F0), else w0 + m g with g the gap (Eqs 2, 3).
+    Under compression w0 F0 / (F + F0), else w0 + m g with g the gap (Eqs 2, 3). What a joint that
+    dilates was lifted by as it slid parts its walls too, pressed together or not.
 
     Parameters
     ----------
@@ -126,7 +137,9 @@ def _apertures(
     f0 = np.where(finite, half, 1.0)
     share = np.where(finite & (force > 0.0), f0 / (f0 + np.maximum(force, 0.0)), 1.0)
     parts = (force <= 0.0) & (gap > 0.0)
+    lifted = np.where(known, (case.skeleton.dilation * hold.slip)[contact], 0.0)
     opened = np.where(parts, wide + case.gap_factor * case.unit * gap, wide * share)
+    opened += case.gap_factor * case.unit * lifted
     slope = np.where(parts, case.gap_factor * case.unit, 0.0)
     slope += np.where(finite & (force > 0.0), wide * share**2 / f0 * stiff, 0.0)
     free = opened < case.widest
@@ -241,6 +254,47 @@ def balanced(
                 break
         (u, p), (found, moved, net, residual, off) = to, tried
     return closest
+
+
+def through_oil(
+    case: Case,
+    first: Hold,
+    u: Array,
+    p: Array,
+    mass: Array,
+    fluid: Fluid,
+    vapour: Array,
+    last: Balanced,
+) -> Balanced:
+    """The state after a step that is not found at once, by way of thicker oil.
+
+    Grains that hang on contacts which slide and open in turns are held more at first, and let go
+    in several parts, as they would settle in a viscous fluid.
+
+    Parameters
+    ----------
+    case, mass, fluid : as for `balanced`
+    first : what contacts remember of the start
+    u, p, vapour : the state at the start
+    last : what was found without it
+    """
+    memory = first
+    for grip in OILS:
+        thick = np.maximum(first.grip, grip)
+        thick[-2:] = first.grip[-2:]
+        place = np.where(first.grip < FIRM, u, first.place)
+        memory = memory._replace(grip=thick, place=place)
+        now = balanced(case, memory, u, p, mass, fluid, vapour)
+        if not now.reached:
+            return last
+        held = float(np.abs((thick * (now.u - place))[first.grip < FIRM]).max())
+        off = max(now.off, held / max(float(np.mean(np.abs(now.found.force))), 1e-300))
+        own = memory._replace(grip=first.grip)
+        last = now._replace(reached=off <= SETTLED, off=off, hold=own)
+        memory = remembered(case.skeleton, memory, now.found, now.u)
+        u, p, vapour = now.u, now.p, now.vapour
+    final = balanced(case, memory._replace(grip=first.grip), u, p, mass, fluid, vapour)
+    return final if final.reached else last
 
 
 def _besides(case: Case, found: Borne, moved: Flow, dt: float, keeps: Array) -> csr_array:

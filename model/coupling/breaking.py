@@ -1,5 +1,8 @@
 """From bond to bond: rock and fluid until the next one breaks, and what then follows at once.
 
+A contact of a joint that begins to slide is an event too, located in time like a break; nothing
+jumps there, so that nothing follows at once.
+
 Time goes in implicit steps (`balance`) whose size follows the change of the pressures' rate. Where
 cement would be beyond its strength at the end of a step, the step is shortened by secants until the
 most loaded is at it; that one breaks, and with every pore's fluid held where it is the rock finds
@@ -19,10 +22,12 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from demflow.model.coupling.balance import Balanced, Fluid, balanced, flow
+from demflow.model.coupling.balance import Balanced, Fluid, balanced, flow, through_oil
 from demflow.model.coupling.setting import Setting
 from demflow.model.coupling.skeleton import (
     FIRM,
+    NEVER,
+    SLID,
     Borne,
     Hold,
     Skeleton,
@@ -32,6 +37,7 @@ from demflow.model.coupling.skeleton import (
     gripped,
     load_factors,
     remembered,
+    slide_factors,
     stored_energy,
 )
 from demflow.model.mechanics.contact.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TENSION, INTACT
@@ -48,8 +54,6 @@ AFTER = 0.1  # the first step after a break over the one before it
 FIRST = 1e-2  # pressure that a march's first step adds to its wells, over the stress
 RUNAWAY = 0.3  # displacement since the start, in mean radii, at which small ones are left behind
 MOST_LOOSE = 5  # grains of a fragment that stays wedged in its crack
-OILS = (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3)  # grips, over k_n
-SETTLED = 1e-3  # force that they still bear, over the mean contact force
 SQUEEZED = 1e-3  # of its volume that a pore keeps at the least
 
 
@@ -69,11 +73,11 @@ class Ledger(NamedTuple):
 
 
 class Event(NamedTuple):
-    """A bond or joint contact that broke."""
+    """A bond or joint contact that broke, or a joint contact that began to slide."""
 
     time: float  # s
     contact: int
-    mode: int
+    mode: int  # BROKEN_IN_TENSION, BROKEN_IN_SHEAR, SLID
     energy: float  # set free
     pore: int  # beside it, of the higher pressure; −1 none
 
@@ -132,11 +136,15 @@ class March:
         self.scale = max(float(walls.max()), 1e-9)  # of the pressures
 
     def drained(self, state: State) -> State:
-        """Let bonds break that do not bear the loaded rock at the initial pressure."""
+        """Let bonds break that do not bear the loaded rock at the initial pressure.
+
+        What slid while the rock was loaded began to do so at time zero.
+        """
         d = len(state.p)
         fluid = Fluid(0.0, np.zeros(d), np.ones(d, bool))
         book = state.ledger
         nothing = Wells(np.zeros(d), fluid.held, state.p, np.empty(0, np.int64))
+        state = self._begun(state, state.hold.mode == SLID)
         state = self._ruptured(state, fluid, None, nothing)
         return state._replace(ledger=book)
 
@@ -186,34 +194,14 @@ class March:
         guess: tuple[Array, Array] | None = None,
         hold: Hold | None = None,
     ) -> Balanced:
-        """The balance after a step; where it is not found at once, by way of thicker oil.
-
-        Grains that hang on contacts which slide and open in turns are held more at first, and let
-        go in several parts, as they would settle in a viscous fluid.
-        """
+        """The balance after a step; where it is not found at once, by way of thicker oil."""
         self.solves += 1
         first = state.hold if hold is None else hold
         u, p = guess or (state.u, state.p)
         now = balanced(self.case, first, u, p, mass, fluid, state.vapour)
         if now.reached:
             return now
-        last, memory, u, p, vapour = now, first, state.u, state.p, state.vapour
-        for grip in OILS:
-            thick = np.maximum(first.grip, grip)
-            thick[-2:] = first.grip[-2:]
-            place = np.where(first.grip < FIRM, u, first.place)
-            memory = memory._replace(grip=thick, place=place)
-            now = balanced(self.case, memory, u, p, mass, fluid, vapour)
-            if not now.reached:
-                return last
-            held = float(np.abs((thick * (now.u - place))[first.grip < FIRM]).max())
-            off = max(now.off, held / max(float(np.mean(np.abs(now.found.force))), 1e-300))
-            own = memory._replace(grip=first.grip)
-            last = now._replace(reached=off <= SETTLED, off=off, hold=own)
-            memory = remembered(self.case.skeleton, memory, now.found, now.u)
-            u, p, vapour = now.u, now.p, now.vapour
-        final = balanced(self.case, memory._replace(grip=first.grip), u, p, mass, fluid, vapour)
-        return final if final.reached else last
+        return through_oil(self.case, first, state.u, state.p, mass, fluid, state.vapour, now)
 
     def _step(self, state: State, fluid: Fluid, wells: Wells) -> State:
         """One step, to a break or without one; shorter where it is not good enough."""
@@ -257,9 +245,22 @@ class March:
         breaks = _worst(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
         after = self._moved_on(state, reached, reached_dt, wells, breaks)
         if breaks and not after.stopped:
+            slides = slide_factors(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
+            after = self._begun(after, slides)
+            if _most_loaded(s, state.hold, reached.found) < 1.0 - AT_STRENGTH:
+                return after._replace(dt=max(after.dt, fluid.dt))
             after = self._ruptured(after, fluid._replace(dt=0.0), reached.found, wells)
             after = after._replace(dt=AFTER * max(reached_dt, 0.1 * fluid.dt), rate=np.empty(0))
         return after
+
+    def _begun(self, state: State, sliding: Array) -> State:
+        """The state with joint contacts noted that are about to slide (c,) bool, or just did."""
+        hold = state.hold
+        sliding = sliding | (self.case.skeleton.joint & (hold.mode == NEVER) & (hold.slip > 0.0))
+        for k in np.flatnonzero(sliding).tolist():
+            self.events.append(Event(state.time, k, SLID, 0.0, self._pore(k, state.p)))
+        mode = np.where(sliding, SLID, hold.mode).astype(np.int8)
+        return state._replace(hold=hold._replace(mode=mode))
 
     def _error(self, state: State, now: Balanced, dt: float) -> float:
         """Error of a step: half of what the rates of pressure changed, over the largest pressure.
@@ -289,6 +290,8 @@ class March:
         grow = GROWTH
         if error > 0.0:
             grow = float(np.clip(0.8 * np.sqrt(self.tolerance / error), 0.2, GROWTH))
+        hold = remembered(s, now.hold, now.found, now.u)
+        ledger = ledger._replace(slip=ledger.slip - self._lifted(now, hold))
         after = state._replace(
             time=float(state.time + dt),
             dt=dt * grow,
@@ -296,11 +299,19 @@ class March:
             p=now.p,
             mass=mass,
             vapour=now.vapour,
-            hold=remembered(s, now.hold, now.found, now.u),
+            hold=hold,
             rate=(now.p - state.p) / dt,
             ledger=ledger,
         )
         return after._replace(stopped=self._ends(after))
+
+    def _lifted(self, now: Balanced, hold: Hold) -> float:
+        """Energy that slip put into joints which it lifts, against what presses on them."""
+        s = self.case.skeleton
+        if not s.dilation.any():
+            return 0.0
+        after = stored_energy(s, hold, borne(s, hold, now.u), now.u)
+        return after - stored_energy(s, now.hold, now.found, now.u)
 
     def _booked(
         self,
@@ -388,14 +399,15 @@ class March:
             work = float(self.case.load @ (after.u - state.u))
             work += float(after.p @ (mass - state.mass))
             free = before + work - self._energy(held, after.found, after.u, after.p, mass)
-            book = state.ledger
+            book, kept = state.ledger, remembered(s, after.hold, after.found, after.u)
             state = state._replace(
                 u=after.u,
                 p=after.p,
                 vapour=after.vapour,
                 mass=mass,
-                hold=remembered(s, after.hold, after.found, after.u),
+                hold=kept,
                 ledger=book._replace(
+                    slip=book.slip - self._lifted(after, kept),
                     let_in=book.let_in + self._let_in(wells, mass - state.mass),
                     work=book.work + work,
                     released=book.released + free,
@@ -403,6 +415,7 @@ class March:
                 ),
             )
             self.events.append(Event(state.time, k, mode, free, self._pore(k, state.p)))
+            state = self._begun(state, np.zeros(len(s.a), bool))
             state = self._held_together(state)
         return state
 
@@ -475,7 +488,13 @@ def _secant(low: float, least: float, high: float, most: float) -> float:
 
 
 def _worst(s: Skeleton, hold: Hold, found: Borne) -> float:
-    """The largest load factor."""
+    """The largest load factor of cement, and of joint contacts that stick."""
+    slides = float(slide_factors(s, hold, found).max(initial=0.0))
+    return max(slides, _most_loaded(s, hold, found))
+
+
+def _most_loaded(s: Skeleton, hold: Hold, found: Borne) -> float:
+    """The largest load factor of cement."""
     return max(float(f.max(initial=0.0)) for f in load_factors(s, hold, found))
 
 

@@ -15,10 +15,12 @@ from demflow.model.coupling import breaking
 from demflow.model.coupling.balance import flow, openings
 from demflow.model.coupling.breaking import March, State, Wells
 from demflow.model.coupling.setting import Setting, setting
-from demflow.model.coupling.skeleton import FIRM, borne
+from demflow.model.coupling.skeleton import FIRM, SLID, borne
 from demflow.model.coupling.told import BreakingFluid, BreakingRock, Leg
 from demflow.model.mechanics.contact.grains import Array
+from demflow.model.network.apertures import pipe_conductance, uniform
 from demflow.model.network.domains import domains_at
+from demflow.model.permeability import permeability
 from demflow.model.products import Network, Packing, Permeability
 from demflow.model.scene import Probe, Well
 
@@ -38,16 +40,18 @@ class Records(NamedTuple):
     crack_length: Array  # (t,) m
     lowest: Array  # (t,) Pa, of any pore
     energies: Array  # (t, 6) J/m: put in, by the fluid's friction, slip, breaks, astray, jerks
+    slip: Array  # (t, 3) of joint contacts since time zero: mean, largest (m), part that slid
+    permeability: Array  # (t, 2, 2) m² of the network as it stands, or (t, 0, 0)
     pressure: Array  # (t, domains or 0) Pa
 
 
 class Events(NamedTuple):
-    """What broke, in order."""
+    """What broke or began to slide, in order."""
 
     time: Array  # (e,) s
     x: Array  # (e,) m
     y: Array
-    mode: Array  # (e,) 1 in tension, 2 in shear
+    mode: Array  # (e,) broken: 1 in tension, 2 in shear; 3 a joint's contact began to slide
     energy: Array  # (e,) J/m
     pore: Array  # (e,) domain beside it of the higher pressure, −1 none
     contact: Array  # (e,)
@@ -74,6 +78,7 @@ class Fracturing(NamedTuple):
     probe_place: Array  # (q, 2) m: of the pores whose pressures probes have
     highest: Array  # (w,) Pa: pressure of each well after any step, between outputs too
     loose: Array  # () grains that came free and are held where they were
+    permeability: Array  # (2, 2) m² of the network at time zero, or (0, 0)
 
 
 def fracture(
@@ -87,6 +92,7 @@ def fracture(
     probes: tuple[Probe, ...],
     tolerance: float,
     record_map: bool,
+    record_permeability: bool = False,
     leg: Leg,
 ) -> Fracturing:
     """March on by one leg.
@@ -101,6 +107,7 @@ def fracture(
     probes : places of which the pore's pressure is recorded.
     tolerance : error in time of a step's pressures, over the largest.
     record_map : whether the pressures of all pores are kept.
+    record_permeability : whether that of the network is measured at the outputs.
     leg : what to do.
 
     Raises ModelError where the rock does not bear its stresses; whatever else ends a march early
@@ -120,6 +127,9 @@ def fracture(
         state = before.state._replace(stopped="")
         mass = before.mass
     recorder = _Recorder(march, wells, leg.rates, wet, mass, before, probes, record_map)
+    if record_permeability:
+        recorder.viscosity = wet.viscosity
+        recorder.at_start = recorder.permeability(state) if before is None else before.permeability
     acts = _wells(given, wells, leg.rates, wet)
     for time in leg.times:
         state = march.to(state, time, acts)
@@ -169,6 +179,8 @@ class _Recorder:
         net, sides = self.given.network, len(wet.sides)
         self.probes = domains_at(net, np.array([p.at for p in probes]).reshape(-1, 2))
         self.sides = sides
+        self.viscosity: float | None = None  # where a permeability is recorded
+        self.at_start = np.empty((0, 0))
         self.rows: list[tuple[Array, ...]] = []
 
     def record(self, state: State) -> None:
@@ -183,9 +195,10 @@ class _Recorder:
             for pore, rate in zip(given.well, self.rates, strict=True)
         ]
         gained = state.mass - self.mass
-        contact = np.array([e.contact for e in self.march.events], dtype=np.int64)
+        contact = np.array([e.contact for e in self.march.events if e.mode != SLID], dtype=np.int64)
         if self.before is not None:
-            contact = np.append(self.before.events.contact, contact)
+            old = self.before.events
+            contact = np.append(old.contact[old.mode != SLID], contact)
         here = np.zeros(len(gained), bool)
         here[given.well] = True
         c = case.conduits
@@ -212,9 +225,39 @@ class _Recorder:
                         *(book.astray, book.jerks),
                     ]
                 ),
+                self._slip(state),
+                self.permeability(state),
                 pressure if self.record_map else pressure[:0],
             )
         )
+
+    def _slip(self, state: State) -> Array:
+        """Slip of the joints: by length the mean, and the part that slid; the largest."""
+        s = self.case.skeleton
+        slip, length = self.case.unit * state.hold.slip[s.joint], s.half_width[s.joint]
+        slid = (state.hold.mode[s.joint] == SLID) | (slip > 0.0)
+        whole = max(float(length.sum()), 1e-300)
+        return np.array([slip @ length / whole, slip.max(initial=0.0), slid @ length / whole])
+
+    def permeability(self, state: State) -> Array:
+        """That of the network as it stands, (2, 2) m²; (0, 0) where it is not asked for."""
+        if self.viscosity is None:
+            return np.empty((0, 0))
+        net, viscosity = self.given.network, self.viscosity
+        apertures = uniform(net, 1.0, viscosity)._replace(
+            conductance=pipe_conductance(self._apertures(state), net.pipe_length, viscosity)
+        )
+        return permeability(net, apertures, viscosity=viscosity)
+
+    def _apertures(self, state: State) -> Array:
+        """Of all pipes of the network, m; those on the sides are as wide as unstressed ones."""
+        case, given = self.case, self.given
+        net, side = given.network, given.side
+        found = borne(case.skeleton, state.hold, state.u)
+        aperture = np.full(len(net.pipe_from), float(case.conduits.wide.max(initial=0.0)))
+        within = (side[net.pipe_from] < 0) & (side[net.pipe_to] < 0)
+        aperture[within] = openings(case, state.hold, found)[0].wide
+        return aperture
 
     def product(self, state: State, leg: Leg) -> Fracturing:
         """All that was recorded, and where the march stands."""
@@ -239,12 +282,6 @@ class _Recorder:
             factored, solved = factored + int(before.factored), solved + int(before.solved)
             steps += int(before.steps)
         moved = max(float(np.abs(state.ledger.let_in).sum()) + abs(state.ledger.injected), 1e-300)
-        found = borne(case.skeleton, state.hold, state.u)
-        net, c = given.network, case.conduits
-        aperture = np.full(len(net.pipe_from), float(c.wide.max(initial=0.0)))
-        side = given.side
-        within = (side[net.pipe_from] < 0) & (side[net.pipe_to] < 0)
-        aperture[within] = openings(case, state.hold, found)[0].wide
         return Fracturing(
             state=state,
             origin=march.origin,
@@ -253,15 +290,18 @@ class _Recorder:
             at_changes=changes,
             change_time=at,
             events=events,
-            network=net,
-            aperture=aperture,
+            network=given.network,
+            aperture=self._apertures(state),
             unbalanced=np.asarray(state.ledger.unbalanced / moved),
             off=np.asarray(state.ledger.off),
             factored=np.asarray(factored),
             solved=np.asarray(solved),
             steps=np.asarray(steps),
-            probe_place=np.column_stack([net.x[self.probes], net.y[self.probes]]),
+            probe_place=np.column_stack(
+                [given.network.x[self.probes], given.network.y[self.probes]]
+            ),
             highest=highest,
+            permeability=self.at_start,
             loose=np.asarray(np.count_nonzero(state.hold.grip[:-2:3] >= FIRM)),
         )
 

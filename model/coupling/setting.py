@@ -16,10 +16,25 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array, eye_array
 
-from demflow.model.coupling.balance import Balanced, Case, Conduits, Fluid, balanced
+from demflow.model.coupling.balance import (
+    Balanced,
+    Case,
+    Conduits,
+    Fluid,
+    balanced,
+    through_oil,
+)
 from demflow.model.coupling.duality import place_of, pores_of, volume_gradient
 from demflow.model.coupling.matrix import StepMatrix
-from demflow.model.coupling.skeleton import Hold, Skeleton, remembered, skeleton_of, some
+from demflow.model.coupling.skeleton import (
+    NEVER,
+    SLID,
+    Hold,
+    Skeleton,
+    remembered,
+    skeleton_of,
+    some,
+)
 from demflow.model.coupling.told import BreakingFluid, BreakingRock
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.specimen.rock import build_specimen
@@ -89,6 +104,8 @@ def setting(
         u, hold = _loaded(skeleton, hold, load)
         skeleton, hold = some(skeleton, hold, stays)
         u, hold = _relaxed(skeleton, hold, load, u)
+        mode = np.where(skeleton.joint & (hold.mode == NEVER) & (hold.slip > 0.0), SLID, hold.mode)
+        hold = hold._replace(mode=mode.astype(np.int8), slip=np.zeros_like(hold.slip))
     else:
         skeleton, (u, hold) = some(skeleton, hold, stays)[0], start
     left = _without(packing, taken)
@@ -215,7 +232,11 @@ def at_rest(case: Case, hold: Hold, u: Array) -> Balanced:
     """
     none = np.empty(0)
     keeps = np.empty(0, bool)
-    return balanced(case, hold, u, none, none, Fluid(0.0, none, keeps), keeps)
+    fluid = Fluid(0.0, none, keeps)
+    found = balanced(case, hold, u, none, none, fluid, keeps)
+    if found.reached:
+        return found
+    return through_oil(case, hold, u, none, none, fluid, keeps, found)
 
 
 def _loaded(skeleton: Skeleton, hold: Hold, load: Array) -> tuple[Array, Hold]:
@@ -229,7 +250,7 @@ def _loaded(skeleton: Skeleton, hold: Hold, load: Array) -> tuple[Array, Hold]:
             found = at_rest(case, now, state)
             if not found.reached:
                 break
-            state, now = found.u, remembered(skeleton, now, found.found, found.u)
+            state, now = found.u, remembered(skeleton, found.hold, found.found, found.u)
         else:
             return state, now
     raise ModelError(
@@ -246,7 +267,7 @@ def _relaxed(skeleton: Skeleton, hold: Hold, load: Array, u: Array) -> tuple[Arr
             "the rock does not bear its stresses once the wells are drilled: grains around them "
             "find no hold; try stronger bonds or narrower wells"
         )
-    return found.u, remembered(skeleton, hold, found.found, found.u)
+    return found.u, remembered(skeleton, found.hold, found.found, found.u)
 
 
 def _side_of(net: Network, left: Packing, names: tuple[str, ...]) -> Array:

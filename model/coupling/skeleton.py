@@ -38,6 +38,7 @@ NEAR = 0.05  # gap in mean radii up to which two grains are watched, so that the
 SOFT = 1e-3  # grip on a grain beside broken cement, over k_n: it follows step by step, as in oil
 FIRM = 1.0  # grip on what came free: it stays
 NEVER = -1  # mode of a contact that never had cement
+SLID = 3  # and of one across a joint, once it slid
 
 
 class Skeleton(NamedTuple):
@@ -65,6 +66,7 @@ class Skeleton(NamedTuple):
     shear_strength: Array
     cement_friction: Array
     beside: Array  # (c,) bool: grains bear beside their cement, not only once it is broken
+    joint: Array  # (c,) bool: across a smooth joint
 
 
 class Hold(NamedTuple):
@@ -73,7 +75,8 @@ class Hold(NamedTuple):
     overlap: Array  # (c,) at no displacement; negative for a gap; slip that dilates takes from it
     shear: Array  # (c,) of the grains, and how far they had slid when it was noted
     slid: Array  # (c,)
-    mode: Array  # (c,) int8: NEVER cemented, INTACT, or how it broke
+    mode: Array  # (c,) int8: NEVER cemented, INTACT, how it broke, or SLID
+    slip: Array  # (c,) length of slip since the rock was loaded
     grip: Array  # (m,) stiffness by which grains beside cracks are held, and where
     place: Array  # (m,)
     oil: Array  # (m,) force of the soft grip in the state before
@@ -153,6 +156,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
     }
     beside = np.ones(c, bool)
     beside[glued] = parallel
+    across = np.zeros(c, bool)
     mode = np.full(c, NEVER, np.int8)
     mode[glued] = INTACT
     if bonds.kind == CONTACT_BONDS:
@@ -194,6 +198,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
         }
         fields = {k: np.append(v, more[k]) for k, v in fields.items()}
         beside = np.append(beside, ~held)
+        across = np.append(across, np.ones(len(ja), bool))
         mode = np.append(mode, np.where(held, INTACT, NEVER).astype(np.int8))
         overlap, shear = np.append(overlap, -gap), np.append(shear, joints.shear)
 
@@ -215,6 +220,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
         sliding=sliding,
         bending=bending,
         beside=np.append(beside, np.ones(w, bool)),
+        joint=np.append(across, np.zeros(w, bool)),
         **fields,
     )
     hold = Hold(
@@ -222,6 +228,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
         shear=np.append(shear, np.zeros(w)),
         slid=np.zeros(len(ends)),
         mode=np.append(mode, np.full(w, NEVER, np.int8)),
+        slip=np.zeros(len(ends)),
         grip=np.zeros(3 * n + 2),
         place=np.zeros(3 * n + 2),
         oil=np.zeros(3 * n + 2),
@@ -298,7 +305,7 @@ def some(skeleton: Skeleton, hold: Hold, which: Array) -> tuple[Skeleton, Hold]:
     hold : what they remember
     which : of the contacts, bool or int
     """
-    kept = Hold._make([*(f[which] for f in hold[:4]), hold.grip, hold.place, hold.oil])
+    kept = Hold._make([*(f[which] for f in hold[:5]), hold.grip, hold.place, hold.oil])
     return Skeleton(*(f[which] for f in skeleton)), kept
 
 
@@ -376,6 +383,7 @@ def remembered(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> Hold:
         overlap=hold.overlap + skeleton.dilation * slid,
         shear=found.shear,
         slid=found.slide,
+        slip=hold.slip + slid,
         place=np.where(hold.grip < FIRM, u, hold.place),
         oil=np.where(hold.grip < FIRM, hold.grip * (u - hold.place), 0.0),
     )
@@ -411,6 +419,23 @@ def _over(stress: Array, strength: Array) -> Array:
         stress, strength, out=np.where(stress > 0.0, np.inf, 0.0), where=strength > 0.0
     )
     return found
+
+
+def slide_factors(skeleton: Skeleton, hold: Hold, found: Borne) -> Array:
+    """Shear force over what friction holds of each joint contact that never slid, (c,).
+
+    Zero of all others. The shear is that which it would bear if it did not slide.
+
+    Parameters
+    ----------
+    skeleton : what bears between grains: contacts, bonds and joints
+    hold : what they remember
+    found : what contacts bear there
+    """
+    s = skeleton
+    sticks = s.joint & (hold.mode == NEVER) & found.closed
+    shear = np.abs(hold.shear - s.ks * (found.slide - hold.slid))
+    return _over(np.where(sticks, shear, 0.0), s.friction * found.normal)
 
 
 def broken(skeleton: Skeleton, hold: Hold, found: Borne, u: Array, k: int, mode: int) -> Hold:

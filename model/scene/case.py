@@ -52,6 +52,8 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "effective_stress": (*_PORES, "consolidate"),
     "crack_length": (*_PORES, "fracture"),
     "injected_volume": (*_PORES, "fracture"),
+    "joint_slip": (*_PORES, "fracture"),
+    "permeability_in_time": (*_PORES, "fracture"),
     "grain_map": _PORES,
     "time_error": (*_PORES, "flow", "reference"),
     "youngs_modulus": ("strength",),
@@ -77,6 +79,14 @@ _OBSERVED = {
     "force_chains": ("stress", "there is no stress"),
     "crack_length": ("breaks", "nothing breaks; add coupling: breaking"),
     "injected_volume": ("breaks", "nothing breaks; add coupling: breaking"),
+    "joint_slip": (
+        "slides",
+        "no joint slides; add coupling: breaking, and a fracture with a joint",
+    ),
+    "permeability_in_time": (
+        "breaks",
+        "apertures stay; add coupling: breaking, or take permeability",
+    ),
     "wall_displacement": ("coupled", "nothing moves the walls; add coupling: linear"),
     "effective_stress": ("coupled", "nothing changes it; add coupling: linear"),
 }
@@ -221,6 +231,11 @@ class Scene:
     def breaks(self) -> bool:
         """Whether bonds break as pressure moves grains."""
         return self.coupling is not None and self.coupling.method == "breaking"
+
+    @property
+    def slides(self) -> bool:
+        """Whether joints slide as pressure moves grains."""
+        return self.breaks and any(fracture.joint is not None for fracture in self.fractures)
 
     @property
     def reckoned(self) -> Reckoned:
