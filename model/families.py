@@ -41,7 +41,7 @@ def may_be_emulated(scene: Scene) -> bool:
         and EMULATED.issuperset(scene.observe)
         and not scene.coupled
         and scene.rock == scene.region
-        and not (held or others or scene.inflow_sides)
+        and not (held or others or scene.inflow_sides or scene.storativity)
         and any(fracture.part == "trace" for fracture in scene.fractures)
     )
 
@@ -80,7 +80,7 @@ def _numbers(aperture: Any) -> Iterator[float]:
 def asked(scene: Scene) -> dict[str, Any]:
     """What is asked of the flow, all that `flow.solvers.registry.pose` takes beside the network."""
     return {
-        "bulk_modulus": scene.fluid and scene.fluid.bulk_modulus,
+        "bulk_modulus": scene.fluid and scene.fluid.modulus,
         "wells": sites(scene.wells),
         "sides": tuple(name for name, _ in scene.held_sides),
         "active": active_sources(scene),

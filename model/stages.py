@@ -238,7 +238,7 @@ def _breaking_fluid(scene: Scene) -> Any:
         return None
     return BreakingFluid(
         scene.fluid.viscosity,
-        scene.fluid.bulk_modulus,
+        scene.fluid.modulus or 1.0,
         scene.pipes,
         scene.uniform_pressure or 0.0,
         scene.coupling.least_pressure,
@@ -268,7 +268,7 @@ def _never(_: Scene) -> bool:
 
 _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.rock,
-    "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
+    "bulk_modulus": lambda s: s.fluid and s.fluid.modulus,
     "wells": lambda s: sites(controls_of(s).wells),
     "sides": lambda s: tuple(name for name, _ in s.held_sides),
     "active": active_sources,
@@ -462,6 +462,7 @@ STAGES: tuple[Stage, ...] = (
         product=Responses,
         kept=kept_by_flow,
         held=held_by_flow,
+        options={"storativity": lambda s: s.storativity},
     ),
     Stage(
         name="reference",
@@ -479,6 +480,7 @@ STAGES: tuple[Stage, ...] = (
         product=Responses,
         kept=kept_by_flow,
         held=held_by_flow,
+        options={"storativity": lambda s: s.storativity},
     ),
     Stage(
         name="consolidate",
@@ -493,7 +495,7 @@ STAGES: tuple[Stage, ...] = (
             "bonds": _cement,
             "held": lambda s: s.coupling and s.coupling.held_walls,
             "load_times": _load_times,
-            "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
+            "bulk_modulus": lambda s: s.fluid and s.fluid.modulus,
             "wells": lambda s: sites(s.wells),
             "sides": lambda s: tuple(name for name, _ in s.held_sides),
             "active": _active,
@@ -524,7 +526,7 @@ STAGES: tuple[Stage, ...] = (
             "friction": lambda s: s.grains.friction,
             "bonds": _cement,
             "held": lambda s: s.coupling and s.coupling.held_walls,
-            "bulk_modulus": lambda s: s.fluid and s.fluid.bulk_modulus,
+            "bulk_modulus": lambda s: s.fluid and s.fluid.modulus,
             "wells": lambda s: sites(s.wells),
             "sides": lambda s: tuple(name for name, _ in s.held_sides),
             "initial": lambda s: s.uniform_pressure,

@@ -16,6 +16,7 @@ from demflow.model.scene import (
     OF_COUPLING,
     BiWing,
     Bonds,
+    Coupling,
     FailureTest,
     Fluid,
     FractureSet,
@@ -28,7 +29,7 @@ from demflow.model.scene import (
     Trace,
     Well,
 )
-from demflow.model.stages import STAGES
+from demflow.model.stages import STAGES, simulate
 from demflow.sweep.plan.identity import encode
 
 GOOD = {
@@ -213,6 +214,42 @@ def test_a_hydraulic_conductivity_is_that_of_the_fluid():
     lacking = {"matrix": Matrix(hydraulic_conductivity=1e-7)}
     assert "fluid.density" in problems(lambda: good(**lacking))
     assert "fluid.density" in problems(lambda: good(**lacking, fluid=None))
+
+
+def test_a_compressibility_is_a_bulk_modulus():
+    one, other = (
+        good(fluid=fluid) for fluid in (Fluid(1e-3, 2.0**31), Fluid(1e-3, None, None, 2.0**-31))
+    )
+    assert one.fluid.modulus == other.fluid.modulus
+    for stage in STAGES:  # both share what is computed
+        for read in (*stage.reads.values(), *stage.options.values()):
+            assert encode(read(one)) == encode(read(other))
+
+
+def test_a_specific_storage_is_what_closed_rock_gives():
+    """A well draws q = S_s A dh/dt at last, whatever the porosity; heads are p / (ρ g)."""
+    density, storage, rate, grains = 1025.0, 3e-6, 1e-6, Grains(count=300, porosity=0.17)
+    times = (1e9, 1.5e9)
+    made = good(
+        region=Rectangle(10.0, 8.0), grains=grains, stress=None, bonds=None, fractures=(),
+        matrix=Matrix(1e-15, specific_storage=storage), fluid=Fluid(1e-3, density=density),
+        wells=(Well(name="w", at=(0.3, 0.2), radius=0.1, rate=rate),), boundaries=(), probes=(),
+        initial_pressure=1e7, times=times, observe=("well_pressure",),
+    )  # fmt: skip
+    seen = simulate(made)
+    fall = -np.diff(seen["well_pressure"][0])[0] / (density * 9.80665)
+    assert rate * (times[1] - times[0]) == pytest.approx(storage * 80.0 * fall, rel=1e-2)
+    held = {"matrix": Matrix(1e-15, specific_storage=1e-6), "fluid": Fluid(1e-3, None, 1000.0)}
+    assert good(**held).stores(0.2) == pytest.approx(1e-6 / 9806.65, rel=1e-14)
+    for fluid, path in (
+        (Fluid(1e-3, 1e9, 1000.0), "matrix.specific_storage"),
+        (Fluid(1e-3), "fluid.density"),
+    ):
+        assert path in problems(lambda fluid=fluid: good(**{**held, "fluid": fluid}))
+    assert "fluid.bulk_modulus" in problems(lambda: good(fluid=Fluid(1e-3)))
+    assert "compressibility" in problems(lambda: Fluid(1e-3, 1e9, compressibility=1e-9))
+    coupled = {**held, "coupling": Coupling()}
+    assert "matrix.specific_storage" in problems(lambda: good(**coupled))
 
 
 def test_all_contradictions_are_told_at_once():

@@ -9,6 +9,7 @@ from demflow.model.parameters import Problems, SceneError, check_fields, paramet
 from demflow.model.region import Pierced, Region, Shape, side_length
 from demflow.model.scene.coupling import Coupling, Reckoned, coupling_problems, reckoned
 from demflow.model.scene.flow import (
+    STANDARD_GRAVITY,
     Boundary,
     Fluid,
     Inflow,
@@ -22,6 +23,7 @@ from demflow.model.scene.flow import (
     conductivity_problems,
     permeable,
     probe_problems,
+    storage_problems,
     time_problems,
     well_problems,
 )
@@ -148,6 +150,7 @@ class Scene:
             *probe_problems(self.probes, rock),
             *boundary_problems(self.boundaries, rock),
             *conductivity_problems(self.matrix, self.fluid),
+            *storage_problems(self.matrix, self.fluid, coupled=self.coupled),
             *self._name_problems(),
             *self._observed_problems(),
             *self._part_problems(),
@@ -168,6 +171,27 @@ class Scene:
     def pipes(self) -> Matrix | None:
         """The matrix by its permeability or aperture, also where a conductivity was given."""
         return None if self.matrix is None else permeable(self.matrix, self.fluid)
+
+    @property
+    def storativity(self) -> float | None:
+        """Fluid that a unit volume of rock gives per pressure fall, 1/Pa, S_s / (ρ g).
+
+        None where the fluid's bulk modulus says it, pore by pore.
+        """
+        matrix, fluid = self.matrix, self.fluid
+        if matrix is None or matrix.specific_storage is None or fluid is None:
+            return None
+        return matrix.specific_storage / ((fluid.density or 1.0) * STANDARD_GRAVITY)
+
+    def stores(self, porosity: float) -> float:
+        """Fluid that a unit volume of rock of a porosity gives per pressure fall, 1/Pa.
+
+        Parameters
+        ----------
+        porosity : of the region
+        """
+        modulus = None if self.fluid is None else self.fluid.modulus
+        return self.storativity or porosity / (modulus or 1.0)
 
     @property
     def ground(self) -> Ground | None:

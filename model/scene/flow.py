@@ -28,6 +28,7 @@ __all__ = [
     "conductivity_problems",
     "permeable",
     "probe_problems",
+    "storage_problems",
     "time_problems",
     "well_problems",
 ]
@@ -85,6 +86,14 @@ class Matrix:
     gap_factor: float = parameter(
         default=0.5, at_least=0, at_most=1, help="aperture gained per gap between grains, m (Eq. 3)"
     )
+    specific_storage: float | None = parameter(
+        "1/m",
+        default=None,
+        above=0,
+        example="1e-6 1/m",
+        help="specific storage S_s of rock and fluid, instead of the fluid's bulk_modulus: "
+        "volume that a unit volume of rock gives per metre of head; needs the fluid's density",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -101,8 +110,9 @@ class Fluid:
     """A slightly compressible liquid."""
 
     viscosity: float = parameter("Pa s", above=0, help="dynamic viscosity")
-    bulk_modulus: float = parameter(
+    bulk_modulus: float | None = parameter(
         "Pa",
+        default=None,
         above=0,
         example="2.2 GPa",
         help="bulk modulus K_f = 1 / compressibility",
@@ -112,11 +122,28 @@ class Fluid:
         default=None,
         above=0,
         example="1000 kg/m3",
-        help="density ρ, which a hydraulic conductivity needs",
+        help="density ρ, which a hydraulic conductivity and a specific storage need",
+    )
+    compressibility: float | None = parameter(
+        "1/Pa",
+        default=None,
+        above=0,
+        example="4.5e-10 1/Pa",
+        help="compressibility c = 1 / bulk_modulus, instead of it; a total one counts the rock's "
+        "pores too",
     )
 
     def __post_init__(self) -> None:
         check_fields(self)
+        if self.bulk_modulus is not None and self.compressibility is not None:
+            what = "give either bulk_modulus or compressibility, which is 1 / bulk_modulus"
+            raise SceneError([("compressibility", what)])
+
+    @property
+    def modulus(self) -> float | None:
+        """Bulk modulus, Pa, however it is given; None where the rock's specific storage stands."""
+        given = self.compressibility
+        return self.bulk_modulus if given is None else 1.0 / given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -377,13 +404,14 @@ def probe_problems(probes: tuple[Probe, ...], region: Region) -> Problems:
 
 
 def permeable(matrix: Matrix, fluid: Fluid | None) -> Matrix:
-    """The matrix by its permeability where it was given by a hydraulic conductivity.
+    """The matrix as its pipes are: by permeability where it was given by a hydraulic conductivity.
 
     Parameters
     ----------
     matrix : as it was given
     fluid : the one that the conductivity is of; without its density there is no permeability
     """
+    matrix = replace(matrix, specific_storage=None)
     conductivity = matrix.hydraulic_conductivity
     if conductivity is None or fluid is None or fluid.density is None:
         return matrix
@@ -397,6 +425,27 @@ def conductivity_problems(matrix: Matrix | None, fluid: Fluid | None) -> Problem
     if given and (fluid is None or fluid.density is None):
         what = "matrix.hydraulic_conductivity is K = k ρ g / μ; give the fluid's density, or "
         yield "fluid.density", what + "matrix.permeability instead"
+
+
+def storage_problems(matrix: Matrix | None, fluid: Fluid | None, *, coupled: bool) -> Problems:
+    """What is wrong with how the rock stores its fluid."""
+    given = None if matrix is None else matrix.specific_storage
+    if given is None:
+        if fluid is not None and fluid.modulus is None:
+            what = (
+                "a fluid stores by its bulk_modulus, for instance 2.2 GPa, or its compressibility"
+            )
+            yield "fluid.bulk_modulus", f"{what}; or give matrix.specific_storage"
+        return
+    path = "matrix.specific_storage"
+    if fluid is not None and fluid.modulus is not None:
+        twice = "bulk_modulus" if fluid.compressibility is None else "compressibility"
+        yield path, f"it says what fluid.{twice} says too; give one of them"
+    if fluid is None or fluid.density is None:
+        what = "matrix.specific_storage is ρ g φ / K; give the fluid's density, or "
+        yield "fluid.density", what + "its bulk_modulus instead"
+    if coupled:
+        yield path, "a rock whose grains move stores by itself; give the fluid's bulk_modulus"
 
 
 def boundary_problems(boundaries: tuple[Boundary, ...], region: Region) -> Problems:

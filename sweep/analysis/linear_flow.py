@@ -96,7 +96,7 @@ def compare_linear(dataset: xr.Dataset, scene_of: SceneOf, maps_of: MapsOf) -> L
         sample = _sample(scene, maps)
         initial = initial_pressure_of(scene)
         phi, k, fluid = float(case["porosity"]), compared_permeability(scene, case), fluid_of(scene)
-        diffusivity = k * fluid.bulk_modulus / (phi * fluid.viscosity)
+        diffusivity = k / (scene.stores(phi) * fluid.viscosity)
         formula = linear_pressure(
             np.clip(sample.distance, 0.0, sample.length),
             times[:, None],

@@ -100,7 +100,7 @@ def compare_radial(
         phi, k = float(case["porosity"]), compared_permeability(scene, case)
         initial, rate = initial_pressure_of(scene), well.rate or 0.0
         fall = float(thiem_pressure_fall(rate, fluid.viscosity, k, 1.0, R_De))
-        t_D = k * fluid.bulk_modulus * times / (phi * fluid.viscosity * well.radius**2)
+        t_D = k * times / (scene.stores(phi) * fluid.viscosity * well.radius**2)
         pressure = case["well_pressure"].sel(well=well.name, elapsed_time=times).values
         profile = expected_profile = np.empty((len(times), 0))
         if maps_of:

@@ -168,7 +168,7 @@ def flow(
     apertures: Apertures,
     *,
     region: Region,
-    bulk_modulus: float,
+    bulk_modulus: float | None,
     wells: tuple[Site, ...],
     sides: tuple[str, ...],
     active: tuple[bool, ...],
@@ -183,6 +183,7 @@ def flow(
     initial: str = "uniform",
     decades: tuple[int, ...] | None = None,
     fine: bool = False,
+    storativity: float | None = None,
 ) -> Responses:
     """Responses of the network to a unit step of each source (the *flow* stage).
 
@@ -193,7 +194,7 @@ def flow(
     ----------
     network, apertures : the open network; conductances in m³/(s Pa), volumes in m³, for unit depth.
     region : part of the scene.
-    bulk_modulus : K_f of the fluid, Pa.
+    bulk_modulus : K_f of the fluid, Pa; None where the rock's storage is given as a whole.
     wells : where the wells are (m) and when they change (s), not how much; then the sides with
         an inflow, which act as wells at a rate.
     sides : names of the sides at fixed pressure.
@@ -212,6 +213,8 @@ def flow(
         the tolerance holds for their sum. None: of one source; of several, that each response is
         held to the tolerance by itself.
     fine : whether steps may come at any time, because rates are found on the responses.
+    storativity : fluid that a unit volume of rock gives per pressure fall, 1/Pa; in place of the
+        bulk modulus, which follows from it and the volume of all pores of the region.
 
     Returns
     -------
@@ -224,6 +227,7 @@ def flow(
     Raises `ModelError` where the solver cannot answer; its text says what to try. `OutOfMemory`
     where the answer would not fit.
     """
+    bulk_modulus = _modulus(network, bulk_modulus, storativity)
     _check(bulk_modulus, times, tolerance, safety_factor, method, step, initial)
     posed = pose(
         network,
@@ -372,6 +376,13 @@ def responses_of(
         solver=np.asarray(choice.method),
         solver_reason=np.asarray(choice.reason),
     )
+
+
+def _modulus(network: Network, bulk_modulus: float | None, storativity: float | None) -> float:
+    """The bulk modulus with which the pores store what the rock as a whole does, Pa."""
+    if storativity is None:
+        return math.nan if bulk_modulus is None else bulk_modulus
+    return float(network.porosity) / storativity
 
 
 def _mapped(network: Network, apertures: Apertures) -> np.ndarray:
