@@ -11,10 +11,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from demflow.model.controls import Controls
 from demflow.model.families import Member, alike
 from demflow.model.flow.solvers.affine import Share, terms_of
 from demflow.model.flow.solvers.contour import contour
-from demflow.model.flow.solvers.emulator import build, emulated
+from demflow.model.flow.solvers.emulator import Emulated, build, emulated
 from demflow.model.flow.solvers.initial import none_at_all
 from demflow.model.flow.solvers.registry import Choice, Posed, flow, pose, responses_of
 from demflow.model.history import superposed
@@ -178,29 +179,48 @@ def emulate(
     _check(fractures, tuple(every))
     rock = Rock(network, walked, stress, calibrated, region, matrix, viscosity)
     family = _Family(rock, model, every[0], asked)
-    controls = members[0].controls
     state = observe(
         *(packing, stress, None, network, family.base, None, None, None, None),
         region=region,
-        controls=controls,
+        controls=members[0].controls,
         wanted=wanted,
     )
-    found = []
+    found: list[dict[str, np.ndarray]] = [{} for _ in members]
     with one_blas_thread():
-        for one, width in zip(members, rock.widths(every), strict=True):
-            try:
-                apertures, responses = family.answer(one.fractures, width)
-                seen = {**state, "smallest_pore": smallest_pore(apertures, network.inside)}
-                if str(responses.solver) == EMULATED:
-                    seen["emulator_snapshots"] = model.snapshots
-                history = superposed(responses, one.controls)
-                seen |= flowed(history, None, one.controls, wanted)
-                seen = {name: np.asarray(value) for name, value in seen.items()}
-                checked(seen)
-                found.append({**seen, FAILURE: np.asarray("")})
-            except (ModelError, OutOfMemory) as error:
-                found.append({FAILURE: np.asarray(str(error))})
-    return _stacked(found)
+        for numbers, answer in family.answers(every):
+            for k in numbers:
+                found[k] = _seen(answer, members[k].controls, network, model, wanted)
+    return _stacked(
+        [one if FAILURE in one else {**state, **one, FAILURE: np.asarray("")} for one in found]
+    )
+
+
+class _Answer(NamedTuple):
+    """What answers some members."""
+
+    apertures: Apertures
+    responses: Responses
+
+
+def _seen(
+    answer: _Answer | Exception,
+    controls: Controls,
+    network: Network,
+    model: Emulator,
+    wanted: tuple[str, ...],
+) -> dict[str, np.ndarray]:
+    """What is observed of a member's flow, or words where it has none."""
+    if isinstance(answer, Exception):
+        return {FAILURE: np.asarray(str(answer))}
+    seen = {"smallest_pore": smallest_pore(answer.apertures, network.inside)}
+    if str(answer.responses.solver) == EMULATED:
+        seen["emulator_snapshots"] = model.snapshots
+    try:
+        seen |= flowed(superposed(answer.responses, controls), None, controls, wanted)
+        checked(seen)
+    except (ModelError, OutOfMemory) as error:
+        return {FAILURE: np.asarray(str(error))}
+    return {name: np.asarray(value) for name, value in seen.items()}
 
 
 class _Family:
@@ -212,34 +232,47 @@ class _Family:
         self.rock, self.model, self.asked = rock, model, asked
         self.base = rock.opened(fractures)
         self.posed = _pose(rock, self.base, asked)
-        lag = self.posed.problem.lag
-        self.around = contour(lag[lag > 0.0])
         self.start = none_at_all(self.posed.problem)
-        self.number = model.branch_class
-        self.why = ""
-        self._last: tuple[bytes, tuple[Apertures, Responses]] | None = None
 
-    def answer(
-        self, fractures: tuple[Fracture, ...], width: np.ndarray
-    ) -> tuple[Apertures, Responses]:
-        """Open pipes and responses of a member whose branches have apertures (e,) m."""
-        key = width.tobytes()
-        if self._last is None or self._last[0] != key:
-            self._last = (key, self._emulated(width) or self._solved(fractures))
-        return self._last[1]
+    def answers(
+        self, members: list[tuple[Fracture, ...]]
+    ) -> Iterator[tuple[list[int], _Answer | Exception]]:
+        """What answers members whose branches are equally wide, and which these are."""
+        widths = list(self.rock.widths(members))
+        alike: dict[bytes, list[int]] = {}
+        for k, width in enumerate(widths):
+            alike.setdefault(width.tobytes(), []).append(k)
+        shares = [self._share(widths[numbers[0]]) for numbers in alike.values()]
+        lag = self.posed.problem.lag
+        by_model = emulated(
+            self.model,
+            self.posed.problem,
+            [share for share in shares if share is not None],
+            contour(lag[lag > 0.0]),
+        )
+        for numbers, share in zip(alike.values(), shares, strict=True):
+            found = None if share is None else next(by_model)
+            try:
+                first = numbers[0]
+                yield numbers, self._answer(members[first], widths[first], found)
+            except (ModelError, OutOfMemory) as error:
+                yield numbers, error
 
-    def _emulated(self, width: np.ndarray) -> tuple[Apertures, Responses] | None:
-        """By the small model; None where its error is beyond the tolerance."""
-        usable = bool(self.model.usable)
-        share = share_of(self.number, width / self.model.branch_aperture) if usable else None
-        if share is None:
-            self.why = str(self.model.reason) or "its apertures are no factors of the family's"
+    def _share(self, width: np.ndarray) -> Share | None:
+        """Shares of a member whose branches have apertures (e,) m; None where it has none."""
+        if not self.model.usable:
             return None
-        found = emulated(self.model, self.posed.problem, share, self.around)
-        tolerance = self.asked["tolerance"]
-        if not found.error <= tolerance:
-            self.why = f"the bound of its error is {found.error:.2g}"
-            return None
+        return share_of(self.model.branch_class, width / self.model.branch_aperture)
+
+    def _answer(
+        self, fractures: tuple[Fracture, ...], width: np.ndarray, found: Emulated | None
+    ) -> _Answer:
+        """By the small model; by itself where the error of that is beyond the tolerance."""
+        if found is None:
+            reason = str(self.model.reason) or "its apertures are no factors of the family's"
+            return self._alone(fractures, reason)
+        if not found.error <= self.asked["tolerance"]:
+            return self._alone(fractures, f"the bound of its error is {found.error:.2g}")
         vectors = self.model.conductance.shape[1]
         reason = (
             f"one model of {vectors} vectors from {int(self.model.snapshots)} cases answers the "
@@ -247,9 +280,9 @@ class _Family:
         )
         choice = Choice(EMULATED, reason, self.posed.problem)
         opened = with_branches(self.base, self.rock.walked, width, self.rock.viscosity)
-        return opened, responses_of(self.posed, found.answer, self.start, 1.0, choice)
+        return _Answer(opened, responses_of(self.posed, found.answer, self.start, 1.0, choice))
 
-    def _solved(self, fractures: tuple[Fracture, ...]) -> tuple[Apertures, Responses]:
+    def _alone(self, fractures: tuple[Fracture, ...], why: str) -> _Answer:
         """By itself, as if there were no family."""
         opened = self.rock.opened(fractures)
         alone = flow(
@@ -261,8 +294,8 @@ class _Family:
             record_map=False,
             **self.asked,
         )
-        reason = f"{alone.solver_reason}; not emulated: {self.why}"
-        return opened, alone._replace(solver_reason=np.asarray(reason))
+        reason = f"{alone.solver_reason}; not emulated: {why}"
+        return _Answer(opened, alone._replace(solver_reason=np.asarray(reason)))
 
 
 def _check(fractures: tuple[Any, ...], members: tuple[tuple[Fracture, ...], ...]) -> None:

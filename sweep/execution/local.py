@@ -56,9 +56,12 @@ SETTINGS: dict[str, Any] = {
 class LocalPool(Pool):
     """Worker processes of this machine, listening on the loopback, for holders of a key alone.
 
+    One stands from the beginning, the others once they have something to do: to start one costs
+    more than a second of processor.
+
     Parameters
     ----------
-    workers : their number.
+    workers : their number at most.
     memory : bytes at which one is ended, None: no limit.
     """
 
@@ -70,6 +73,7 @@ class LocalPool(Pool):
         super().__init__()
         self.parent = os.getpid()
         self.workers, self.memory = workers, memory
+        self._wanted = 1
         self._started = False  # whether a worker ever stood
         self._begin = time.monotonic()
         self._failures = 0  # to start one, before that
@@ -92,7 +96,7 @@ class LocalPool(Pool):
                 asynchronous=True,
             )
             self.client = await Client(self.cluster, set_as_default=False, asynchronous=True)
-            self.cluster.scale(self.workers)
+            self.cluster.scale(self._wanted)
         except BaseException:
             await self.__aexit__()
             raise
@@ -126,10 +130,13 @@ class LocalPool(Pool):
             self.cluster.worker_spec.pop(name, None)
             # the next may get the same name, and would count as there already
             self.cluster.workers.pop(name, None)
-        self.cluster.scale(self.workers)
+        self.cluster.scale(self._wanted)
 
     def ask_for(self, workers: int) -> None:
-        """They are as many as they were to be."""
+        """Start further ones, as long as they are not all there."""
+        if self._wanted < min(workers, self.workers):
+            self._wanted = min(workers, self.workers)
+            self.cluster.scale(self._wanted)
 
     def kill(self, address: str) -> None:
         """End a worker process at once; its nanny starts another."""

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import hashlib
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import Enum
+from functools import cache
 from typing import Any
 
 import numpy as np
+
+_DOUBLE, _LENGTH = struct.Struct("<d").pack, struct.Struct("<Q").pack
 
 
 def encode(value: Any) -> bytes:
@@ -27,34 +30,83 @@ def encode(value: Any) -> bytes:
 
     Raises TypeError for anything else, which has no content that could be hashed.
     """
+    known = _OF_TYPE.get(type(value))
+    return known(value) if known is not None else _of_another(value)
+
+
+def _of_another(value: Any) -> bytes:
+    """The same of what is no builtin: a type of NumPy's, one that inherits, a dataclass."""
     # bool before int and str before Sequence: the first match decides
-    if value is None:
-        return b"0"
-    if isinstance(value, bool | np.bool_):
-        return b"T" if value else b"F"
+    if isinstance(value, np.bool_):
+        return _of_bool(bool(value))
     if isinstance(value, Enum):
         return _tagged(b"e", value.name.encode())
     if isinstance(value, int | np.integer):
-        return _tagged(b"i", str(int(value)).encode())
+        return _of_int(int(value))
     if isinstance(value, float | np.floating):
-        return b"f" + struct.pack("<d", value)
+        return _of_float(float(value))
     if isinstance(value, str):
-        return _tagged(b"s", value.encode())
+        return _of_str(value)
     if isinstance(value, tuple | list):
-        return _tagged(b"t", b"".join(map(encode, value)))
+        return _of_sequence(value)
     if isinstance(value, Mapping):
-        items = sorted(value.items())
-        return _tagged(b"m", b"".join(encode(key) + encode(item) for key, item in items))
+        return _of_mapping(value)
     if is_dataclass(value) and not isinstance(value, type):
-        contents = {field.name: getattr(value, field.name) for field in fields(value)}
-        given = {name: content for name, content in contents.items() if content is not None}
-        parts = [encode(name) + encode(content) for name, content in given.items()]
-        return _tagged(b"d", encode(type(value).__name__) + b"".join(parts))
+        head, names = _parts_of(type(value))
+        parts = [head]
+        for name, encoded in names:
+            if (content := getattr(value, name)) is not None:
+                parts += (encoded, encode(content))
+        return _tagged(b"d", b"".join(parts))
     if isinstance(value, np.ndarray) and value.dtype.kind in "biufcU":
         little = np.asarray(value, dtype=value.dtype.newbyteorder("<"), order="C")
         head = f"{little.dtype.str}{little.shape}".encode()
         return _tagged(b"a", _tagged(b"s", head) + little.tobytes())
     raise TypeError(f"a {type(value).__name__} has no canonical bytes: {value!r}")
+
+
+def _of_bool(value: bool) -> bytes:
+    return b"T" if value else b"F"
+
+
+def _of_int(value: int) -> bytes:
+    return _tagged(b"i", str(value).encode())
+
+
+def _of_float(value: float) -> bytes:
+    return b"f" + _DOUBLE(value)
+
+
+def _of_str(value: str) -> bytes:
+    return _tagged(b"s", value.encode())
+
+
+def _of_sequence(value: Sequence[Any]) -> bytes:
+    return _tagged(b"t", b"".join(map(encode, value)))
+
+
+def _of_mapping(value: Mapping[str, Any]) -> bytes:
+    items = sorted(value.items())
+    return _tagged(b"m", b"".join([encode(key) + encode(item) for key, item in items]))
+
+
+@cache
+def _parts_of(kind: type) -> tuple[bytes, tuple[tuple[str, bytes], ...]]:
+    """The encoded name of a dataclass, and those of its fields."""
+    return _of_str(kind.__name__), tuple((f.name, _of_str(f.name)) for f in fields(kind))
+
+
+# a hundred thousand cases are mostly these; whatever inherits from them finds its own way
+_OF_TYPE: dict[type, Callable[[Any], bytes]] = {
+    type(None): lambda _: b"0",
+    bool: _of_bool,
+    int: _of_int,
+    float: _of_float,
+    str: _of_str,
+    tuple: _of_sequence,
+    list: _of_sequence,
+    dict: _of_mapping,
+}
 
 
 def product_id(
@@ -85,7 +137,7 @@ def product_id(
 
 
 def _tagged(tag: bytes, content: bytes) -> bytes:
-    return tag + struct.pack("<Q", len(content)) + content
+    return tag + _LENGTH(len(content)) + content
 
 
 _NOTHING = encode(None)

@@ -33,6 +33,7 @@ def test_workers_killed_while_they_start_are_replaced_each_time():
 
     async def storm() -> int:
         async with LocalPool(2) as pool:
+            pool.ask_for(2)
             patience = time.monotonic() + 60.0
             while len(await pool.look()) < 2 and time.monotonic() < patience:
                 if len(killed) < 3:
@@ -45,6 +46,21 @@ def test_workers_killed_while_they_start_are_replaced_each_time():
     with silent_loops():
         assert asyncio.run(storm()) == 2
     assert len(killed) == 3
+
+
+def test_no_more_workers_stand_than_have_something_to_do():
+    async def numbers() -> list[int]:
+        async with LocalPool(2) as pool:
+            found = []
+            for asked, stand in ((0, 1), (5, 2), (1, 2)):
+                pool.ask_for(asked)
+                while len(await pool.look()) < stand:
+                    await asyncio.sleep(0.05)
+                found.append(len(pool.cluster.worker_spec))
+            return found
+
+    with silent_loops():
+        assert asyncio.run(numbers()) == [1, 2, 2]
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])

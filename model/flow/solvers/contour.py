@@ -34,13 +34,20 @@ class Contour(NamedTuple):
     weight: np.ndarray  # (radii, l, r, a) of |E| in the bound at each lag
 
     def in_time(self, error: np.ndarray) -> np.ndarray:
-        """Bound of |e| at each lag, (l,), from that of |E| (r, a)."""
-        return np.asarray(np.tensordot(self.weight, error, 2).min(axis=0))
+        """Bound of |e| at each lag, (…, l), from that of |E| (…, r, a)."""
+        return np.asarray(self._trials(error).min(axis=-2))
 
     def shares(self, error: np.ndarray) -> np.ndarray:
-        """What each radius has in that bound, (l, r)."""
-        best = np.tensordot(self.weight, error, 2).argmin(axis=0)
-        return np.asarray((self.weight[best, np.arange(len(best))] * error).sum(axis=2))
+        """What each radius has in that bound, (…, l, r)."""
+        best = self._trials(error).argmin(axis=-2)
+        weight = self.weight[best, np.arange(best.shape[-1])]
+        return np.asarray((weight * error[..., None, :, :]).sum(axis=-1))
+
+    def _trials(self, error: np.ndarray) -> np.ndarray:
+        """The bound by each of the arcs, (…, radii, l)."""
+        trials, lags = self.weight.shape[:2]
+        flat = error.reshape(*error.shape[:-2], -1) @ self.weight.reshape(trials * lags, -1).T
+        return np.asarray(flat.reshape(*error.shape[:-2], trials, lags))
 
 
 def radii(lag: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ Patera 2005, Int. J. Numer. Meth. Fluids 47, 773–788).
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,6 +60,8 @@ NOTHING = 1e-9  # part of a vector that is round-off once the known part is take
 FAR = 1e-2
 MOST_REFERENCES = 4
 
+AT_ONCE = 16  # members that are answered at once: more would not stay in a cache
+
 
 class Emulated(NamedTuple):
     """What the small model answers for one member."""
@@ -66,111 +69,154 @@ class Emulated(NamedTuple):
     answer: Answer
     error: float  # bound of the relative error of all that is held to the tolerance
     noise: float  # what of it is round-off
-    worst: np.ndarray  # (r,) of the contour's radii, what each has in that
+    worst: np.ndarray  # (r,) of the contour's radii, what each has in that; (0,) unless asked for
 
 
 class Projected(NamedTuple):
-    """The flow equation of one member on the small space; wells that store nothing eliminated."""
+    """The flow equation of members (…) on the small space; wells that store nothing eliminated."""
 
-    decay: np.ndarray  # (m,) 1/s
-    vectors: np.ndarray  # (m, m) modes
-    follow: np.ndarray  # (w, m) how such wells follow the space
-    inverse: np.ndarray  # (w, w)
-    ports: np.ndarray  # (m, o) rows of the outputs
-    at_wells: np.ndarray  # (w, o) the same at these wells
+    decay: np.ndarray  # (…, m) 1/s
+    vectors: np.ndarray  # (…, m, m) modes
+    follow: np.ndarray  # (…, w, m) how such wells follow the space
+    inverse: np.ndarray  # (…, w, w)
+    ports: np.ndarray  # (…, m, o) rows of the outputs
+    at_wells: np.ndarray  # (…, w, o) the same at these wells
 
 
 def projected(model: Emulator, share: Share) -> Projected:
-    """Project the flow equation of one member."""
+    """Project the flow equation of one member, or of several whose shares are (…, terms).
+
+    Parameters
+    ----------
+    model : small model of a family of cases
+    share : how wide the fractures of each are
+    """
     w = int(model.wells)
     G = np.tensordot(share.conductance, model.conductance, 1)
     C = np.tensordot(share.storage, model.storage, 1)
-    inverse = np.linalg.inv(G[:w, :w])
-    follow = -inverse @ G[:w, w:]
-    decay, vectors = eigh(G[w:, w:] + G[w:, :w] @ follow, C[w:, w:], check_finite=False)
+    inverse = np.linalg.inv(G[..., :w, :w])
+    follow = -inverse @ G[..., :w, w:]
+    held = G[..., w:, w:] + G[..., w:, :w] @ follow
+    decay, vectors = np.empty(held.shape[:-1]), np.empty(held.shape)
+    for at in np.ndindex(held.shape[:-2]):
+        decay[at], vectors[at] = eigh(held[at], C[at][w:, w:], check_finite=False)
     ports = np.tensordot(share.conductance, model.ports, 1)
     if model.sealed:
-        decay[0] = 0.0  # of the constants, but for round-off
+        decay[..., 0] = 0.0  # of the constants, but for round-off
     return Projected(
         np.maximum(decay, 0.0),
         vectors,
         follow,
         inverse,
-        ports[w:] + follow.T @ ports[:w],
-        ports[:w],
+        ports[..., w:, :] + follow.mT @ ports[..., :w, :],
+        ports[..., :w, :],
     )
 
 
-def round_off(small: Projected, last: float) -> float:
-    """Relative round-off of the slowest mode that decays at all, up to the time `last` (s)."""
-    slowest = max(float(small.decay[small.decay > 0.0].min(initial=np.inf)), 1.0 / last)
-    return float(np.finfo(float).eps * small.decay[-1] / slowest) if np.isfinite(slowest) else 0.0
+def round_off(small: Projected, last: float) -> np.ndarray:
+    """Relative round-off of the slowest mode that decays at all, up to the time `last` (s), (…)."""
+    decays = np.where(small.decay > 0.0, small.decay, np.inf).min(axis=-1, initial=np.inf)
+    slowest = np.maximum(decays, 1.0 / last)
+    return np.asarray(np.finfo(float).eps * small.decay[..., -1] / slowest)
 
 
 def transfer(model: Emulator, share: Share, frequency: np.ndarray) -> np.ndarray:
-    """The response of each output to a load at each, at frequencies (f,) 1/s, (f, o, o).
+    """The response of each output to a load at each, at frequencies (f,) 1/s, (…, f, o, o).
 
     Parameters
     ----------
     model : small model of a family of cases
-    share : how wide the fractures of one member are
+    share : how wide the fractures of one member are, or of several (…, terms)
     frequency : Laplace variable, (f,) 1/s
     """
     return _transfer(projected(model, share), frequency)
 
 
 def _transfer(small: Projected, frequency: np.ndarray) -> np.ndarray:
-    loads = small.vectors.T @ small.ports
-    inner = loads[None] / (small.decay[:, None] + frequency[:, None, None])
-    return np.asarray(loads.T @ inner + small.at_wells.T @ small.inverse @ small.at_wells)
+    loads = small.vectors.mT @ small.ports
+    inner = loads[..., None, :, :] / (small.decay[..., None, :, None] + frequency[:, None, None])
+    wells = small.at_wells.mT @ small.inverse @ small.at_wells
+    return np.asarray(loads.mT[..., None, :, :] @ inner + wells[..., None, :, :])
 
 
 def residuals(model: Emulator, share: Share, small: Projected, frequency: np.ndarray) -> np.ndarray:
-    """Squared norm of the residual of each port that counts, (r, a, p), without caution.
+    """Squared norm of the residual of each port that counts, (b, r, a, p), without caution.
 
     At frequencies (r, a) 1/s of which each row has one modulus, that of a row of the samples.
 
     Parameters
     ----------
     model : reduced model of a family of cases
-    share : what its cases share
-    small : the projected problem
-    frequency : Laplace variable, (f,) 1/s
+    share : how wide the fractures of b members are, (b, terms)
+    small : their projected problems
+    frequency : Laplace variable, (r, a) 1/s
     """
-    reference, reach = _reference(model, share)
-    seen_g = np.tensordot(share.conductance, model.seen_conductance[reference], 1)
-    seen_c = np.tensordot(share.storage, model.seen_storage[reference], 1)
-    seen_ports = np.tensordot(share.conductance, model.seen_ports[reference], 1)
     counted = np.flatnonzero(model.counted)
     rows, angles = frequency.shape
-    size = np.empty((rows, angles, len(counted)))
-    for k, port in enumerate(counted):
-        load = small.vectors.T @ small.ports[:, port]
-        found = small.vectors @ (load[:, None] / (small.decay[:, None] + frequency.ravel()))
-        wells = small.follow @ found + (small.inverse @ small.at_wells[:, port])[:, None]
-        found = np.concatenate([wells, found]).reshape(-1, rows, angles).transpose(1, 0, 2)
-        moved = found * frequency[:, None, :]
-        both = np.concatenate([found.real, found.imag], axis=2)
-        rates = np.concatenate([moved.real, moved.imag], axis=2)
-        left = -(seen_g @ both + seen_c @ rates)  # (r, samples, 2 a)
-        left[:, :, :angles] += seen_ports[:, :, port, None]
-        squares = np.mean(left**2, axis=1)
-        size[:, :, k] = squares[:, :angles] + squares[:, angles:]
-    return size / reach
-
-
-def _reference(model: Emulator, share: Share) -> tuple[int, float]:
-    """The reference whose matrix bounds that of a member best, and what part of it does."""
-    reach = np.minimum(
-        (share.conductance / model.reference_conductance).min(axis=1),
-        (share.storage / model.reference_storage).min(axis=1),
+    members, m = small.decay.shape
+    loads = small.vectors.mT @ small.ports[..., counted]
+    modal = loads[..., None] / (small.decay[:, :, None, None] + frequency.ravel())
+    modal = modal.reshape(members, m, -1)
+    parts = np.concatenate([modal.real, modal.imag], axis=2)  # (b, m, 2 p r a)
+    inner = small.vectors @ parts
+    wells = small.follow @ inner
+    half = wells.shape[2] // 2
+    own = small.inverse @ small.at_wells[..., counted]
+    wells[:, :, :half] += np.repeat(own, rows * angles, axis=2)
+    found = np.concatenate([wells, inner], axis=1)
+    found = found.reshape(members, -1, 2, len(counted), rows, angles)
+    real, imaginary = found.transpose(2, 0, 4, 1, 3, 5)  # (b, r, q, p, a) each
+    moved = frequency[:, None, None, :]
+    both = np.stack([real, imaginary], axis=4)
+    rates = np.stack(
+        [
+            moved.real * real - moved.imag * imaginary,
+            moved.real * imaginary + moved.imag * real,
+        ],
+        axis=4,
     )
-    best = int(np.minimum(reach, 1.0).argmax())
-    return best, float(min(1.0, reach[best]))
+    flat = (members, rows, both.shape[2], -1)
+    both, rates = both.reshape(flat), rates.reshape(flat)
+    size = np.empty((members, rows, angles, len(counted)))
+    best, reach = _reference(model, share)
+    for k in np.unique(best):
+        ours = np.flatnonzero(best == k)
+        conductance, storage = share.conductance[ours], share.storage[ours]
+        seen = np.tensordot(conductance, model.seen_ports[k][..., counted], 1)
+        left = np.tensordot(conductance, model.seen_conductance[k], 1) @ both[ours]
+        left += np.tensordot(storage, model.seen_storage[k], 1) @ rates[ours]
+        left = left.reshape(*left.shape[:3], len(counted), 2, angles)
+        left[..., 0, :] -= seen[..., None]
+        squares = np.mean(left**2, axis=2).sum(axis=3)
+        size[ours] = squares.swapaxes(2, 3) / reach[ours, None, None, None]
+    return size
 
 
-def emulated(model: Emulator, problem: Problem, share: Share, around: Contour) -> Emulated:
-    """The responses of one member of the family whose base poses `problem`, and their error.
+def _reference(model: Emulator, share: Share) -> tuple[np.ndarray, np.ndarray]:
+    """The reference whose matrix bounds that of each member (b,) best, and what part does."""
+    reach = np.minimum(
+        (share.conductance[:, None] / model.reference_conductance).min(axis=2),
+        (share.storage[:, None] / model.reference_storage).min(axis=2),
+    )
+    best = np.minimum(reach, 1.0).argmax(axis=1)
+    return best, np.minimum(1.0, reach[np.arange(len(best)), best])
+
+
+def _reach(model: Emulator, share: Share) -> float:
+    """What part of its own matrix the best reference is sure to have of one member."""
+    found = _reference(model, Share(share.conductance[None], share.storage[None]))
+    return float(found[1][0])
+
+
+def emulated(
+    model: Emulator,
+    problem: Problem,
+    shares: Sequence[Share],
+    around: Contour,
+    *,
+    by_radius: bool = False,
+) -> Iterator[Emulated]:
+    """The responses of some members of the family whose base poses `problem`, and their errors.
 
     `around` is the contour of its lags.
 
@@ -178,67 +224,89 @@ def emulated(model: Emulator, problem: Problem, share: Share, around: Contour) -
     ----------
     model : reduced model of a family of cases
     problem : what is solved
-    share : what its cases share
+    shares : how wide the fractures of each member are
     around : contour of the inverse transform
+    by_radius : whether to tell what each radius has in the error
     """
+    for first in range(0, len(shares), AT_ONCE):
+        some = shares[first : first + AT_ONCE]
+        share = Share(*map(np.array, zip(*some, strict=True)))
+        yield from _at_once(model, problem, share, around, by_radius)
+
+
+def _at_once(
+    model: Emulator, problem: Problem, share: Share, around: Contour, by_radius: bool
+) -> list[Emulated]:
+    """The same of members whose shares are (b, terms)."""
     small = projected(model, share)
     records, lag = problem.records, problem.lag
-    direct = np.tensordot(share.conductance, model.direct, 1)
-    stored = share.storage @ model.stored
-    w, wells = int(model.wells), records.well_rows
+    w, wells, members = int(model.wells), records.well_rows, len(share.storage)
     flows = slice(wells, wells + records.flow_rows)
-    answer = empty_answer(problem)
+    direct = np.tensordot(share.conductance, model.direct, 1)  # (b, sources, o)
+    stored = share.storage @ model.stored
+    held = stored[:, w:] + (small.follow.mT @ stored[:, :w, None])[..., 0]
+    answers = [empty_answer(problem) for _ in range(members)]
     for k in problem.active_sources:
         well = k - problem.system.fixed_count  # its load is what its row reads, the other sign
-        load, at_wells = -small.ports[:, well], -small.at_wells[:, well]
-        modes = Modes(small.decay, small.vectors, small.vectors.T @ load, np.zeros(len(load)))
-        held = stored[w:] + small.follow.T @ stored[:w]
-        basis = Basis(model.highest[None, w:], modes, small.ports.T, held)
-        own = small.at_wells.T @ (small.inverse @ at_wells)
-        alone = own + direct[k]
-        given = -1.0 + float(own[flows].sum())
+        load, at_wells = -small.ports[..., well, None], -small.at_wells[..., well, None]
+        loads = (small.vectors.mT @ load)[..., 0]
+        modes = Modes(small.decay, small.vectors, loads, np.zeros_like(loads))
+        basis = Basis(model.highest[None, w:], modes, small.ports.mT, held)
+        own = (small.at_wells.mT @ (small.inverse @ at_wells))[..., 0]
+        alone = own + direct[:, k]
+        given = -1.0 + own[:, flows].sum(axis=1)
+        let_in = basis.rows[:, flows].sum(axis=1)
         pressure, integral, volume, missing = balanced(
-            problem.system, basis, lag, basis.rows[flows].sum(axis=0), given
+            problem.system, basis, lag, let_in, given[:, None]
         )
-        answer.output[k] = pressure @ basis.rows.T + alone
-        answer.cumulative[k, :, :-1] = integral @ basis.rows[flows].T + lag[:, None] * alone[flows]
-        answer.cumulative[k, :, -1] = volume
-        answer.missing[k] = missing
+        output = pressure @ small.ports + alone[:, None]
+        through = integral @ small.ports[..., flows] + lag[:, None] * alone[:, None, flows]
+        for one, *found in zip(answers, output, through, volume, missing, strict=True):
+            one.output[k], one.cumulative[k, :, :-1], one.cumulative[k, :, -1] = found[:3]
+            one.missing[k] = found[3]
     size = residuals(model, share, small, around.frequency)
-    error, worst = _in_time(model, problem, answer, size, around)
     noise = round_off(small, lag[-1])
     slow = np.abs(np.log(around.radius * lag[-1])).argmin()
-    at_rest = np.abs(np.einsum("oo->o", _transfer(small, around.radius[[slow]])[0]))
-    left = np.sqrt(size[slow, 0] / at_rest[model.counted])
-    return Emulated(
-        answer._replace(time_error=error + noise, residual=float(left.max())),
-        error + noise,
-        noise,
-        worst,
-    )
+    at_rest = np.abs(np.einsum("bfoo->bo", _transfer(small, around.radius[[slow]])))
+    left = np.sqrt(size[:, slow, 0] / at_rest[:, model.counted]).max(axis=1)
+    errors = _in_time(model, problem, answers, size, around, by_radius)
+    return [
+        Emulated(
+            answer._replace(time_error=error + off, residual=rest), error + off, off, worst
+        )
+        for answer, (error, worst), off, rest in zip(
+            answers, errors, noise.tolist(), left.tolist(), strict=True
+        )
+    ]
 
 
 def _in_time(
-    model: Emulator, problem: Problem, answer: Answer, size: np.ndarray, around: Contour
-) -> tuple[float, np.ndarray]:
+    model: Emulator,
+    problem: Problem,
+    answers: list[Answer],
+    size: np.ndarray,
+    around: Contour,
+    by_radius: bool,
+) -> list[tuple[float, np.ndarray]]:
     """Largest relative error of all that is held to the tolerance; what each radius has in it."""
-    shared = shared_out(problem, lambda _: answer)
     later = problem.lag > 0.0
     counted = np.flatnonzero(model.counted).tolist()
-    largest, worst = 0.0, np.zeros(len(around.radius))
+    shared = [shared_out(problem, lambda _, answer=answer: answer) for answer in answers]
+    largest = np.zeros(len(answers))
+    worst = np.zeros((len(answers), len(around.radius) if by_radius else 0))
     for k in problem.active_sources:
         own = counted.index(k - problem.system.fixed_count)
-        scale = shared.scale(k, answer.output[k][later])
+        pairs = zip(shared, answers, strict=True)
+        scale = np.array([one.scale(k, answer.output[k][later]) for one, answer in pairs])
         for place, port in enumerate(counted):
-            counts = scale[:, port] > 0.0
-            if not counts.any():
-                continue
-            product = CAUTION * np.sqrt(size[:, :, own] * size[:, :, place]) / around.leaning
-            relative = around.in_time(product)[counts] / scale[counts, port]
-            largest = max(largest, float(relative.max()))
-            shares = around.shares(product)[counts] / scale[counts, port][:, None]
-            worst = np.maximum(worst, shares.max(axis=0))
-    return largest, worst
+            product = CAUTION * np.sqrt(size[..., own] * size[..., place]) / around.leaning
+            counts = scale[:, :, port] > 0.0
+            over = np.where(counts, 1.0 / np.where(counts, scale[:, :, port], 1.0), 0.0)
+            largest = np.maximum(largest, (around.in_time(product) * over).max(axis=1))
+            if by_radius:
+                shares = around.shares(product) * over[..., None]
+                worst = np.maximum(worst, shares.max(axis=1))
+    return list(zip(largest.tolist(), worst, strict=True))
 
 
 def counted_outputs(problem: Problem) -> np.ndarray:
@@ -275,7 +343,7 @@ def build(terms: Terms, problem: Problem, members: list[Share], tolerance: float
     known = np.full(len(members), np.inf)  # bounds seen last, which fall as the space grows
     while True:
         at = int(known.argmax())
-        found = emulated(model, problem, members[at], around)
+        found = next(emulated(model, problem, [members[at]], around, by_radius=True))
         known[at] = found.error
         if found.noise > 0.5 * MARGIN * tolerance:
             known[at] = 0.0  # no vector helps
@@ -284,7 +352,7 @@ def build(terms: Terms, problem: Problem, members: list[Share], tolerance: float
         full = space.count > MOST_VECTORS or len(space.snapshots) > MOST_SNAPSHOTS
         if known[at] <= MARGIN * tolerance or full:
             return model._replace(largest_error=np.asarray(known[at]))
-        if _reference(model, members[at])[1] < FAR and len(space.references) < MOST_REFERENCES:
+        if _reach(model, members[at]) < FAR and len(space.references) < MOST_REFERENCES:
             space.refer(members[at])
         else:
             needs = (near * found.worst[:, None]).max(axis=0)

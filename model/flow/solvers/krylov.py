@@ -18,6 +18,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from demflow.model.flow.equation.algebraic import algebraic
 from demflow.model.flow.equation.balance import steady_flow, transient_misfit
@@ -398,7 +399,7 @@ def _record(
 
 
 def balanced(
-    system: System, basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: float
+    system: System, basis: Basis, lag: np.ndarray, let_in: np.ndarray, given: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Coefficients (l, m) of the pressure and of its integral, and the volume stored (l,), m³.
 
@@ -410,6 +411,8 @@ def balanced(
     What was missing (l,), m³, comes with it: in volume, or in the present flow, had it been so all
     the time.
 
+    Several spaces beside one another (…) have (…, m) and (…, 1) of the last two.
+
     Parameters
     ----------
     system : the flow equation C dp/dt = −G p + f
@@ -419,17 +422,23 @@ def balanced(
     given : flow that is given, m³/s
     """
     pressure, integral = basis.modes.pressure(lag), basis.modes.integral(lag)
-    missing = pressure @ basis.stored - given * lag - integral @ let_in
-    size = float(let_in @ let_in)
-    if size == 0.0:
-        return pressure, integral, pressure @ basis.stored, np.abs(missing)
-    in_flow = basis.modes.rate(lag) @ basis.stored - given - pressure @ let_in
+    missing = _sum(pressure, basis.stored) - given * lag - _sum(integral, let_in)
+    size = np.vecdot(let_in, let_in)[..., None]
+    if not np.any(size):
+        return pressure, integral, _sum(pressure, basis.stored), np.abs(missing)
+    in_flow = _sum(basis.modes.rate(lag), basis.stored) - given - _sum(pressure, let_in)
     told = np.maximum(np.abs(missing), lag * np.abs(in_flow))
     largest = np.abs(pressure) @ np.abs(basis.vectors).max(axis=0)
     noise = LOST * np.finfo(float).eps * float(system.fixed_g.sum()) * largest
-    pressure += np.clip(in_flow, -noise, noise)[:, None] * (let_in / size)
-    stored = pressure @ basis.stored
-    missing = stored - given * lag - integral @ let_in
+    mend = (let_in / np.where(size > 0.0, size, np.inf))[..., None, :]
+    pressure += np.clip(in_flow, -noise, noise)[..., None] * mend
+    stored = _sum(pressure, basis.stored)
+    missing = stored - given * lag - _sum(integral, let_in)
     mended = np.clip(missing, -noise * lag, noise * lag)
-    integral += mended[:, None] * (let_in / size)
+    integral += mended[..., None] * mend
     return pressure, integral, stored - (missing - mended), told
+
+
+def _sum(coefficients: np.ndarray, each: np.ndarray) -> np.ndarray:
+    """What vectors have of something, each (…, m), summed by their coefficients (…, l, m)."""
+    return np.asarray(coefficients @ each if each.ndim == 1 else np.matvec(coefficients, each))

@@ -47,26 +47,30 @@ NOTHING = 1e-13  # part of a vector that is round-off once the known part is tak
 
 
 class Modes(NamedTuple):
-    """The eigenvectors of a projection."""
+    """The eigenvectors of a projection, or of several beside one another (…)."""
 
-    decay: np.ndarray  # (k,) eigenvalues λ, 1/s
-    vectors: np.ndarray  # (m, k) in the basis
-    load: np.ndarray  # (k,) source
-    rest: np.ndarray  # (k,) steady state, of a space that starts from it
+    decay: np.ndarray  # (…, k) eigenvalues λ, 1/s
+    vectors: np.ndarray  # (…, m, k) in the basis
+    load: np.ndarray  # (…, k) source
+    rest: np.ndarray  # (…, k) steady state, of a space that starts from it
 
     def pressure(self, lag: np.ndarray) -> np.ndarray:
-        """Coefficients of the basis (l, m) of the pressure, (1 − e^(−λt)) / λ in each mode."""
+        """Coefficients of the basis (…, l, m) of the pressure, (1 − e^(−λt)) / λ in each mode."""
         t = lag[:, None]
-        return np.asarray((t * _phi1(t * self.decay) * self.load) @ self.vectors.T)
+        return self._in_basis(t * _phi1(t * self.decay[..., None, :]))
 
     def integral(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the time integral of the pressure."""
         t = lag[:, None]
-        return np.asarray((t * t * _phi2(t * self.decay) * self.load) @ self.vectors.T)
+        return self._in_basis(t * t * _phi2(t * self.decay[..., None, :]))
 
     def rate(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the pressure's rate of change."""
-        return np.asarray((np.exp(-lag[:, None] * self.decay) * self.load) @ self.vectors.T)
+        return self._in_basis(np.exp(-lag[:, None] * self.decay[..., None, :]))
+
+    def _in_basis(self, modal: np.ndarray) -> np.ndarray:
+        """Coefficients of what each mode (…, l, k) does by a unit of its load."""
+        return np.asarray((modal * self.load[..., None, :]) @ self.vectors.mT)
 
     def own_flow(self, lag: np.ndarray) -> np.ndarray:
         """What a source that the space starts at rest with lets in beyond its steady flow, (l,)."""
