@@ -271,9 +271,7 @@ def _at_once(
     left = np.sqrt(size[:, slow, 0] / at_rest[:, model.counted]).max(axis=1)
     errors = _in_time(model, problem, answers, size, around, by_radius)
     return [
-        Emulated(
-            answer._replace(time_error=error + off, residual=rest), error + off, off, worst
-        )
+        Emulated(answer._replace(time_error=error + off, residual=rest), error + off, off, worst)
         for answer, (error, worst), off, rest in zip(
             answers, errors, noise.tolist(), left.tolist(), strict=True
         )
