@@ -19,6 +19,7 @@ Patera 2005, Int. J. Numer. Meth. Fluids 47, 773–788).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -289,7 +290,7 @@ def _in_time(
     """Largest relative error of all that is held to the tolerance; what each radius has in it."""
     later = problem.lag > 0.0
     counted = np.flatnonzero(model.counted).tolist()
-    shared = [shared_out(problem, lambda _, answer=answer: answer) for answer in answers]
+    shared = [shared_out(problem, partial(_given, answer)) for answer in answers]
     largest = np.zeros(len(answers))
     worst = np.zeros((len(answers), len(around.radius) if by_radius else 0))
     for k in problem.active_sources:
@@ -305,6 +306,10 @@ def _in_time(
                 shares = around.shares(product) * over[..., None]
                 worst = np.maximum(worst, shares.max(axis=1))
     return list(zip(largest.tolist(), worst, strict=True))
+
+
+def _given(answer: Answer, _: Problem) -> Answer:
+    return answer
 
 
 def counted_outputs(problem: Problem) -> np.ndarray:
