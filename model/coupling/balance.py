@@ -32,14 +32,17 @@ from demflow.model.coupling.skeleton import (
     forces,
     remembered,
 )
+from demflow.model.mechanics.contact.bonds import INTACT
 from demflow.model.mechanics.contact.grains import Array
 
 MOST_ITERATIONS = 12
 HALVINGS = 3  # of a step of it that does not come closer
 TOLERANCE = 1e-8  # of forces over the mean contact force
-STRICTER = 1e3  # volumes are held to it by so much more
+STRICTER = 100.0  # volumes are held to it by so much more
 ENOUGH = 1e-4  # where sliding contacts take turns, so that no iteration comes closer
-EQUATION = 1e-5  # relative residual of the equations of Newton's method
+EQUATION = 1e-5  # relative residual of the equations of Newton's method, at the strictest
+LOOSEST = 1e-2  # and where what is not linear is larger (Eisenstat & Walker 1996, choice 2)
+WAITS = 4  # iterations in which it has to come closer by half where a shorter step may do
 OILS = (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3)  # grips, over k_n
 SETTLED = 1e-3  # force that they still bear, over the mean contact force
 LONGEST = 0.1  # mean radii by which an iteration moves grains at most
@@ -110,8 +113,9 @@ class Openings(NamedTuple):
 def openings(case: Case, hold: Hold, found: Borne) -> tuple[Openings, Openings]:
     """Apertures of the pipes and of the links, m.
 
-    Under compression w0 F0 / (F + F0), else w0 + m g with g the gap (Eqs 2, 3). What a joint that
-    dilates was lifted by as it slid parts its walls too, pressed together or not.
+    Under compression w0 F0 / (F + F0), else w0 + m g with g the gap (Eqs 2, 3); w0 where cement
+    still holds, which what little it stretches leaves as tight as it was. What a joint that dilates
+    was lifted by as it slid parts its walls too, pressed together or not.
 
     Parameters
     ----------
@@ -136,7 +140,7 @@ def _apertures(
     finite = np.isfinite(half)
     f0 = np.where(finite, half, 1.0)
     share = np.where(finite & (force > 0.0), f0 / (f0 + np.maximum(force, 0.0)), 1.0)
-    parts = (force <= 0.0) & (gap > 0.0)
+    parts = (force <= 0.0) & (gap > 0.0) & ~(known & (hold.mode == INTACT)[contact])
     lifted = np.where(known, (case.skeleton.dilation * hold.slip)[contact], 0.0)
     opened = np.where(parts, wide + case.gap_factor * case.unit * gap, wide * share)
     opened += case.gap_factor * case.unit * lifted
@@ -192,8 +196,9 @@ def net_inflow(case: Case, pipe: Array, link: Array) -> Array:
 
 
 def balanced(
-    case: Case, hold: Hold, u: Array, p: Array, mass: Array, fluid: Fluid, vapour: Array
-) -> Balanced:
+    case: Case, hold: Hold, u: Array, p: Array, mass: Array, fluid: Fluid, vapour: Array,
+    *, patient: bool = True,
+) -> Balanced:  # fmt: skip
     """Find the state after a step.
 
     Parameters
@@ -204,6 +209,7 @@ def balanced(
     mass : (d,) fluid volume of each pore at the start.
     fluid : the step.
     vapour : (d,) bool, which pores are at the least pressure, as a first guess.
+    patient : whether it goes on where it hardly comes closer.
     """
     s, m = case.skeleton, len(u)
     u, p, vapour = u.copy(), p.copy(), vapour.copy()
@@ -227,6 +233,7 @@ def balanced(
 
     found, moved, net, residual, off = state(u, p, vapour)
     closest = Balanced(u, p, found, net, vapour, False, np.inf, hold)
+    were, strict = [off], LOOSEST
     for iteration in range(MOST_ITERATIONS + 1):
         changed = _boils(case, fluid, u, p, mass, net, vapour)
         if changed is not None:
@@ -239,11 +246,13 @@ def balanced(
             closest = Balanced(u, p, found, net, vapour, off <= ENOUGH, off, hold)
         if iteration == MOST_ITERATIONS or not np.isfinite(off):
             break
+        if not patient and iteration > WAITS and off > 0.5 * were[-1 - WAITS]:
+            break
         keeps = fluid.held | vapour
         stiffnesses = np.concatenate([found.kn, found.ks, found.km, hold.grip])
         upper = case.matrix.entries(stiffnesses, fluid.dt * moved.conductance, keeps)
         besides = _besides(case, found, moved, fluid.dt, keeps)
-        step = case.matrix.solve(upper, besides, residual, EQUATION)
+        step = case.matrix.solve(upper, besides, residual, strict)
         step[m:][keeps] = 0.0
         step *= min(1.0, LONGEST / max(float(np.abs(step[:m]).max()), 1e-300))
         for halving in range(HALVINGS + 1):
@@ -253,6 +262,8 @@ def balanced(
             if tried[-1] < off:
                 break
         (u, p), (found, moved, net, residual, off) = to, tried
+        strict = float(np.clip(0.1 * (off / were[-1]) ** 2, EQUATION, LOOSEST))
+        were.append(off)
     return closest
 
 

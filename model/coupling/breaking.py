@@ -44,12 +44,15 @@ from demflow.model.mechanics.contact.bonds import BROKEN_IN_SHEAR, BROKEN_IN_TEN
 from demflow.model.mechanics.contact.grains import Array
 
 AT_STRENGTH = 1e-3  # how near to its strength cement is when it breaks, relative
+BEYOND = 1.1  # how far a step goes over where a bond is thought to break
+BISECTIONS = 12  # of when that is
 JUMP = 1e-4  # of a step, in which a load that jumps beyond the strength is not looked for further
 MOST_SECANTS = 25
 MOST_STEPS = 20_000  # of one leg
 MOST_BREAKS = 100_000  # of one march
+PATIENT = 2  # how often a step is shortened before it is looked for by all means
 HALVINGS = 30  # of a step that is not found
-GROWTH = 2.0  # of a step over the one before
+GROWTH = 4.0  # of a step over the one before
 AFTER = 0.1  # the first step after a break over the one before it
 FIRST = 1e-2  # pressure that a march's first step adds to its wells, over the stress
 RUNAWAY = 0.3  # displacement since the start, in mean radii, at which small ones are left behind
@@ -132,6 +135,7 @@ class March:
         self.given_rate = np.zeros(len(given.case.storage))  # by wells at a pressure, last step
         self.highest = np.full(len(given.well), -np.inf)  # pressure of each well after any step
         self.keepers = keepers
+        self.before: tuple[float, tuple[Array, ...]] | None = None  # a step, and where from
         walls = np.abs(self.case.load[-2:]) / np.sqrt(given.area)
         self.scale = max(float(walls.max()), 1e-9)  # of the pressures
 
@@ -193,50 +197,62 @@ class March:
         mass: Array,
         guess: tuple[Array, Array] | None = None,
         hold: Hold | None = None,
+        patient: bool = True,
     ) -> Balanced:
-        """The balance after a step; where it is not found at once, by way of thicker oil."""
+        """The balance after a step; where it is not found at once, by way of thicker oil.
+
+        A shorter step is often found where a longer one is not, so that one that is not `patient`
+        ends early and without that.
+        """
         self.solves += 1
         first = state.hold if hold is None else hold
         u, p = guess or (state.u, state.p)
-        now = balanced(self.case, first, u, p, mass, fluid, state.vapour)
-        if now.reached:
+        p = np.where(fluid.held, state.p, p)
+        now = balanced(self.case, first, u, p, mass, fluid, state.vapour, patient=patient)
+        if now.reached or not patient:
             return now
         return through_oil(self.case, first, state.u, state.p, mass, fluid, state.vapour, now)
 
     def _step(self, state: State, fluid: Fluid, wells: Wells) -> State:
         """One step, to a break or without one; shorter where it is not good enough."""
         s = self.case.skeleton
-        least = _worst(s, state.hold, borne(s, state.hold, state.u))
+        way = Way(s, state.hold, state.u, state.p)
         dt, low, high, shortened = fluid.dt, 0.0, np.inf, 0
         reached: Balanced | None = None
         guess: tuple[Array, Array] | None = None
+        if self.before is not None:  # what broke nothing goes on as it did
+            ahead = Way(s, state.hold, state.u, state.p)
+            ahead.found.append((-self.before[0], self.before[1]))
+            dt = min(dt, BEYOND * ahead.break_within(0.0, dt))
+            guess = ahead.guess(dt)
         for attempt in range(HALVINGS + MOST_SECANTS):
-            now = self._found(state, fluid._replace(dt=dt), state.mass, guess)
+            patient = shortened >= PATIENT
+            now = self._found(state, fluid._replace(dt=dt), state.mass, guess, patient=patient)
             if not now.reached:
                 shortened += 1
                 if shortened > HALVINGS:
                     break
                 dt, guess = low + 0.3 * (dt - low), None
                 continue
+            way.add(dt, now)
             error = self._error(state, now, dt)
             if error > 2.0 * self.tolerance and high == np.inf:
-                part = max(0.2, 0.8 * np.sqrt(self.tolerance / error))
-                guess = _between(state, now, part)
-                dt *= part
+                dt *= max(0.2, 0.8 * np.sqrt(self.tolerance / error))
+                guess = way.guess(dt)
                 continue
             load = _worst(s, state.hold, now.found)
             reached, reached_dt = now, dt
             if load <= 1.0 + AT_STRENGTH and (high == np.inf or load >= 1.0 - AT_STRENGTH):
                 break
             if load > 1.0:
-                high, most = dt, load
+                high = dt
                 if high - low <= JUMP * high:  # it jumps beyond its strength
                     break
             else:
-                low, least = dt, load
-            tried = 0.5 * (low + high) if attempt % 3 == 2 else _secant(low, least, high, most)
-            guess = _between(state, now, tried / dt)
-            dt = tried
+                low = dt
+            # a load that jumps is not where a parabola has it
+            tried = 0.5 * (low + high) if attempt % 4 == 3 else way.break_within(low, high)
+            dt, guess = tried, way.guess(tried)
         if reached is None:
             return state._replace(
                 stopped=f"no balance of rock and fluid is found after {state.time:.6g} s, however "
@@ -244,13 +260,16 @@ class March:
             )
         breaks = _worst(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
         after = self._moved_on(state, reached, reached_dt, wells, breaks)
+        if shortened:
+            after = after._replace(dt=min(after.dt, reached_dt))
+        self.before = None if breaks else (reached_dt, way.found[0][1])
         if breaks and not after.stopped:
             slides = slide_factors(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
             after = self._begun(after, slides)
             if _most_loaded(s, state.hold, reached.found) < 1.0 - AT_STRENGTH:
                 return after._replace(dt=max(after.dt, fluid.dt))
             after = self._ruptured(after, fluid._replace(dt=0.0), reached.found, wells)
-            after = after._replace(dt=AFTER * max(reached_dt, 0.1 * fluid.dt), rate=np.empty(0))
+            after = after._replace(dt=AFTER * fluid.dt, rate=np.empty(0))
         return after
 
     def _begun(self, state: State, sliding: Array) -> State:
@@ -474,17 +493,58 @@ class March:
         return np.asarray(1.0 + (self.case.pull @ (u - self.origin)) / own)
 
 
-def _between(state: State, now: Balanced, part: float) -> tuple[Array, Array]:
-    """A state on the way, as a first guess."""
-    return state.u + part * (now.u - state.u), state.p + part * (now.p - state.p)
+BORNE = ("cement_n", "cement_s", "cement_m", "slide", "normal")  # what load factors read
 
 
-def _secant(low: float, least: float, high: float, most: float) -> float:
-    """Where a load factor meets 1, kept off the ends."""
-    if not np.isfinite(most):
+class Way:
+    """Steps of any length from a state, by a parabola through those that were found nearest.
+
+    Cement, slides and closed contacts are linear in the displacements, so that a parabola of what
+    they bear tells of each when it breaks or begins to slide; the largest load factor of all has kinks where one bond takes over from another.
+    """
+
+    def __init__(self, skeleton: Skeleton, hold: Hold, u: Array, p: Array):
+        self.skeleton, self.hold = skeleton, hold
+        self.start = borne(skeleton, hold, u)
+        self.found: list[tuple[float, tuple[Array, ...]]] = [(0.0, _seen(u, p, self.start))]
+
+    def add(self, dt: float, now: Balanced) -> None:
+        """Keep what a step of length dt, s, led to."""
+        self.found.append((dt, _seen(now.u, now.p, now.found)))
+
+    def _at(self, dt: float, which: slice) -> list[Array]:
+        near = sorted(self.found, key=lambda one: abs(one[0] - dt))[:3]
+        times = [one[0] for one in near]
+        share = [
+            float(np.prod([(dt - other) / (time - other) for other in times if other != time]))
+            for time in times
+        ]
+        columns = zip(*(one[1][which] for one in near), strict=True)
+        return [sum(w * f for w, f in zip(share, column, strict=True)) for column in columns]
+
+    def guess(self, dt: float) -> tuple[Array, Array]:
+        """Displacements and pressures after a step of length dt, s."""
+        u, p = self._at(dt, slice(0, 2))
+        return u, p
+
+    def break_within(self, low: float, high: float) -> float:
+        """When the first contact reaches its strength, s; `high` where none does by then."""
+        for part in range(BISECTIONS + 1):
+            dt = 0.5 * (low + high) if part else high
+            seen = self.start._replace(
+                **dict(zip(BORNE, self._at(dt, slice(2, None)), strict=True))
+            )
+            if _worst(self.skeleton, self.hold, seen) > 1.0:
+                high = dt
+            elif part:
+                low = dt
+            else:
+                return high
         return 0.5 * (low + high)
-    part = (1.0 - least) / max(most - least, 1e-300)
-    return low + float(np.clip(part, 0.02, 0.98)) * (high - low)
+
+
+def _seen(u: Array, p: Array, found: Borne) -> tuple[Array, ...]:
+    return u, p, *(getattr(found, name) for name in BORNE)
 
 
 def _worst(s: Skeleton, hold: Hold, found: Borne) -> float:

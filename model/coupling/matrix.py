@@ -21,6 +21,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from demflow.model.mechanics.contact.grains import Array
 
 MOST_SOLVES = 12  # of one equation with a factor of before: half as long as a new one takes
+MANY_SOLVES = 10  # after which the next equation gets a factor of its own
 WITH_NEW = 100  # with one of its own
 ENOUGH = 1e-2  # relative residual with which such a solve still serves Newton's method
 
@@ -124,6 +125,7 @@ class StepMatrix:
         for fresh in (self.stale, True):
             if fresh:
                 self._factorise(upper)
+            before = self.solved
             inverse = LinearOperator((self.n, self.n), matvec=self._divided, dtype=float)
             found, _ = gmres(
                 acts, right, rtol=tolerance, restart=WITH_NEW if fresh else MOST_SOLVES,
@@ -132,7 +134,7 @@ class StepMatrix:
             off = np.linalg.norm(acts.matvec(found) - right)
             if off <= ENOUGH * np.linalg.norm(right):
                 break
-        self.stale = False
+        self.stale = self.solved - before > MANY_SOLVES
         return np.asarray(found)
 
     def _whole(self, upper: csc_array) -> csr_array:

@@ -36,6 +36,7 @@ from demflow.model.mechanics.static.load_carrying import carrying, contacts_of
 
 NEAR = 0.05  # gap in mean radii up to which two grains are watched, so that they may close
 SOFT = 1e-3  # grip on a grain beside broken cement, over k_n: it follows step by step, as in oil
+LOOSE = 0.01  # the same on one that no cement holds any more
 FIRM = 1.0  # grip on what came free: it stays
 NEVER = -1  # mode of a contact that never had cement
 SLID = 3  # and of one across a joint, once it slid
@@ -443,7 +444,8 @@ def broken(skeleton: Skeleton, hold: Hold, found: Borne, u: Array, k: int, mode:
 
     Grains that bore nothing of their own take over its shear, as far as friction holds it. From
     then on they move as in oil: slightly held where they were in the state before, so that one
-    that hangs on sliding contacts alone does not spin. Forces of that are some 1e-4 of the rest.
+    that hangs on sliding contacts alone does not spin, and one that no cement holds any more does
+    not slide to and fro. Forces of that are some 1e-4 of the rest, and over at the next step.
 
     Parameters
     ----------
@@ -460,11 +462,14 @@ def broken(skeleton: Skeleton, hold: Hold, found: Borne, u: Array, k: int, mode:
     shear, slid = hold.shear.copy(), hold.slid.copy()
     if not skeleton.beside[k]:
         shear[k], slid[k] = found.cement_s[k], found.slide[k]
-    ends = [end for end in (skeleton.a[k], skeleton.b[k]) if end >= 0]
-    beside = (3 * np.array(ends)[:, None] + np.arange(3)).ravel()
     grip, place = hold.grip.copy(), hold.place.copy()
-    beside = beside[grip[beside] == 0.0]
-    grip[beside], place[beside] = SOFT, u[beside]
+    for end in (skeleton.a[k], skeleton.b[k]):
+        if end < 0:
+            continue
+        held = np.any((modes == INTACT) & ((skeleton.a == end) | (skeleton.b == end)))
+        beside, oil = slice(3 * end, 3 * end + 3), SOFT if held else LOOSE
+        place[beside] = np.where(grip[beside] == 0.0, u[beside], place[beside])
+        grip[beside] = np.maximum(grip[beside], oil)
     return hold._replace(mode=modes, shear=shear, slid=slid, grip=grip, place=place)
 
 
