@@ -217,7 +217,30 @@ class March:
         """One step, to a break or without one; shorter where it is not good enough."""
         s = self.case.skeleton
         way = Way(s, state.hold, state.u, state.p)
-        dt, low, high, shortened = fluid.dt, 0.0, np.inf, 0
+        reached, reached_dt, shortened = self._located(state, fluid, way)
+        if reached is None:
+            return state._replace(
+                stopped=f"no balance of rock and fluid is found after {state.time:.6g} s, however "
+                "short the step; try a smaller rate, a lower matrix.gap_factor or stronger bonds"
+            )
+        breaks = _worst(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
+        after = self._moved_on(state, reached, reached_dt, wells, breaks)
+        if shortened:
+            after = after._replace(dt=min(after.dt, reached_dt))
+        self.before = None if breaks else (reached_dt, way.found[0][1])
+        if breaks and not after.stopped:
+            slides = slide_factors(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
+            after = self._begun(after, slides)
+            if _most_loaded(s, state.hold, reached.found) < 1.0 - AT_STRENGTH:
+                return after._replace(dt=max(after.dt, fluid.dt))
+            after = self._ruptured(after, fluid._replace(dt=0.0), reached.found, wells)
+            after = after._replace(dt=AFTER * fluid.dt, rate=np.empty(0))
+        return after
+
+    def _located(self, state: State, fluid: Fluid, way: Way) -> tuple[Balanced | None, float, bool]:
+        """What a step leads to, to the first break at the most; its length, s; if it was halved."""
+        s = self.case.skeleton
+        dt, low, high, shortened, reached_dt = fluid.dt, 0.0, np.inf, 0, 0.0
         reached: Balanced | None = None
         guess: tuple[Array, Array] | None = None
         if self.before is not None:  # what broke nothing goes on as it did
@@ -253,24 +276,7 @@ class March:
             # a load that jumps is not where a parabola has it
             tried = 0.5 * (low + high) if attempt % 4 == 3 else way.break_within(low, high)
             dt, guess = tried, way.guess(tried)
-        if reached is None:
-            return state._replace(
-                stopped=f"no balance of rock and fluid is found after {state.time:.6g} s, however "
-                "short the step; try a smaller rate, a lower matrix.gap_factor or stronger bonds"
-            )
-        breaks = _worst(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
-        after = self._moved_on(state, reached, reached_dt, wells, breaks)
-        if shortened:
-            after = after._replace(dt=min(after.dt, reached_dt))
-        self.before = None if breaks else (reached_dt, way.found[0][1])
-        if breaks and not after.stopped:
-            slides = slide_factors(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
-            after = self._begun(after, slides)
-            if _most_loaded(s, state.hold, reached.found) < 1.0 - AT_STRENGTH:
-                return after._replace(dt=max(after.dt, fluid.dt))
-            after = self._ruptured(after, fluid._replace(dt=0.0), reached.found, wells)
-            after = after._replace(dt=AFTER * fluid.dt, rate=np.empty(0))
-        return after
+        return reached, reached_dt, shortened > 0
 
     def _begun(self, state: State, sliding: Array) -> State:
         """The state with joint contacts noted that are about to slide (c,) bool, or just did."""
@@ -500,7 +506,8 @@ class Way:
     """Steps of any length from a state, by a parabola through those that were found nearest.
 
     Cement, slides and closed contacts are linear in the displacements, so that a parabola of what
-    they bear tells of each when it breaks or begins to slide; the largest load factor of all has kinks where one bond takes over from another.
+    they bear tells of each when it breaks or begins to slide; the largest load factor of all has
+    kinks where one takes over from another.
     """
 
     def __init__(self, skeleton: Skeleton, hold: Hold, u: Array, p: Array):
