@@ -20,6 +20,7 @@ from demflow.model.history import (
 )
 from demflow.model.products import (
     Apertures,
+    BarPermeability,
     FractureNetwork,
     Moduli,
     Network,
@@ -79,6 +80,7 @@ def observe(
     consolidated: Consolidation | None = None,
     fractured: Fracturing | None = None,
     followed: Followed | None = None,
+    bar: BarPermeability | None = None,
     *,
     region: Region,
     controls: Controls,
@@ -103,6 +105,7 @@ def observe(
     fractured : a march through breaking bonds
     consolidated : responses of a coupled rock, linear
     followed : what one did whose apertures followed its forces
+    bar : permeability of the open network as a bar
     region : where the case lies, m
     controls : rates and pressures of the case in time
     wanted : names of what is observed
@@ -132,6 +135,8 @@ def observe(
         found |= _elastic(moduli)
     if permeability is not None:
         found["permeability"] = permeability.tensor
+    if bar is not None:
+        found["bar_permeability"] = bar.along
     if traces is not None:
         found |= _described(traces)
     history, strained = _coupled(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from demflow.model.flow.linear.factor import analyse, factorise, solve
@@ -10,7 +12,7 @@ from demflow.model.network.connectivity import reached
 from demflow.model.network.domains import cut_pipes, cut_places
 from demflow.model.network.fractures.subdivide import cuts_of, subdivide
 from demflow.model.outcome import ModelError
-from demflow.model.products import Apertures, Network, Permeability
+from demflow.model.products import Apertures, BarPermeability, Network, Permeability
 from demflow.model.region import Rectangle, contains
 
 OFF_WALLS = 3.0  # mean diameters from the walls where the permeability of the rock is measured
@@ -35,6 +37,71 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     viscosity : of the fluid, Pa s
     """
     network, apertures = _core(network, apertures)
+    joined = _joined(network, apertures, np.zeros(len(network.cut), dtype=bool))
+    a, b, g, place = joined.a, joined.b, joined.g, joined.place
+    held = joined.side[:, 0] >= 0
+    p = _steady(a, b, g, -place, held, _moved(joined, held))
+    drop = p[a] - p[b]
+    dissipation = viscosity * (drop.T @ (g[:, None] * drop))
+    values, axes = np.linalg.eigh(_spanned(network))
+    scale = (axes / np.sqrt(values)) @ axes.T
+    tensor = scale @ dissipation @ scale
+    return np.asarray(0.5 * (tensor + tensor.T))
+
+
+def bar_permeability(
+    network: Network, apertures: Apertures, *, region: Rectangle, viscosity: float
+) -> np.ndarray:
+    """Permeability (2,) in m² of the region as a bar in a laboratory, along x and along y.
+
+    The two sides across the flow keep a pressure each, the other two are sealed, and
+    k = μ Q L / (A Δp) of the flow Q from one to the other. In rock whose pressure is not linear
+    (fractures, anisotropy across the bar) it lies below the tensor of a linear pressure.
+
+    Raises `ModelError` where no flow goes from side to side.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    region : where the case lies, m
+    viscosity : of the fluid, Pa s
+    """
+    sides, found = region.sides, np.zeros(2)
+    shape = region.width / region.height
+    for axis, ends in enumerate((("left", "right"), ("bottom", "top"))):
+        first, second = (sides.index(name) for name in ends)
+        joined = _joined(network, apertures, ~np.isin(network.cut_side, (first, second)))
+        a, b, g = joined.a, joined.b, joined.g
+        begins = (joined.side == first).any(axis=1)
+        held = begins | (joined.side == second).any(axis=1)
+        p = _steady(a, b, g, begins[:, None].astype(float), held, _moved(joined, held))[:, 0]
+        q = g * (p[a] - p[b])
+        found[axis] = viscosity * (q[begins[a]].sum() - q[begins[b]].sum())
+        if found[axis] <= 0.0:
+            raise ModelError(
+                f"no flow goes from {ends[0]} to {ends[1]}, so there is no bar_permeability; give "
+                "the matrix an aperture, or observe permeability"
+            )
+    return np.asarray(found * (shape, 1.0 / shape))
+
+
+class _Joined(NamedTuple):
+    """What joins places: pores, then nodes of traces, then one on the rim for each cut pipe."""
+
+    place: np.ndarray  # (n, 2) m
+    side: np.ndarray  # (n, 2) sides of the region on which each lies, −1 none
+    a: np.ndarray  # (e,)
+    b: np.ndarray  # (e,)
+    g: np.ndarray  # (e,) m³/(s Pa)
+
+
+def _joined(network: Network, apertures: Apertures, sealed: np.ndarray) -> _Joined:
+    """All that conducts, up to the rim; a pipe that crosses a sealed side ends beyond it.
+
+    The part of it that lies inside joins the pore beyond, which joins nothing but these.
+    `sealed` (b,) says it of each cut pipe.
+    """
     d, m = len(network.x), len(apertures.node_x)
     within = (
         network.inside[network.pipe_from]
@@ -42,30 +109,24 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
         & (apertures.conductance > 0.0)
     )
     pipe, cut = np.flatnonzero(within), np.flatnonzero(apertures.cut_conductance > 0.0)
-    t = network.cut_fraction
-    inner, outer = network.cut_inside, network.cut_outside
-    # places are pores, then nodes of traces, then one on the rim for each pipe that it cuts
-    x = np.concatenate(
-        [network.x, apertures.node_x, network.x[inner] + t * (network.x[outer] - network.x[inner])]
-    )
-    y = np.concatenate(
-        [network.y, apertures.node_y, network.y[inner] + t * (network.y[outer] - network.y[inner])]
-    )
-    held = np.zeros(len(x), dtype=bool)
-    held[d : d + m] = apertures.node_side[:, 0] >= 0
-    held[d + m :] = True
+    t, inner, outer = network.cut_fraction, network.cut_inside, network.cut_outside
+    pores = np.column_stack([network.x, network.y])
+    nodes = np.column_stack([apertures.node_x, apertures.node_y])
+    at_rim = pores[inner] + t[:, None] * (pores[outer] - pores[inner])
+    rim = np.where(sealed, outer, d + m + np.arange(len(inner)))
+    lies_on = np.column_stack([network.cut_side, np.full(len(inner), -1)])
+    across = network.cut[cut]
     cuts = cuts_of(
         apertures,
-        np.append(pipe, network.cut[cut]),
-        np.append(
-            np.zeros(len(pipe), dtype=bool), network.inside[network.pipe_to[network.cut[cut]]]
-        ),
-        np.append(np.ones(len(pipe)), t[cut]),
+        np.append(pipe, across),
+        np.append(np.zeros(len(pipe), dtype=bool), network.inside[network.pipe_to[across]]),
+        np.append(np.ones(len(pipe)), np.where(sealed, 1.0, t)[cut]),
     )
+    part = np.where(sealed, t * t, 1.0)
     a, b, g = subdivide(
         np.append(network.pipe_from[pipe], inner[cut]),
-        np.append(network.pipe_to[pipe], d + m + cut),
-        np.append(apertures.conductance[pipe], apertures.cut_conductance[cut]),
+        np.append(network.pipe_to[pipe], rim[cut]),
+        np.append(apertures.conductance[pipe], (part * apertures.cut_conductance)[cut]),
         cuts,
         d,
     )
@@ -73,21 +134,23 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     b = np.append(b, d + apertures.branch_b)
     g = np.append(g, apertures.branch_conductance)
     conducts = (a != b) & (g > 0.0)
-    a, b, g = a[conducts], b[conducts], g[conducts]
-    # parts that the rim does not reach carry nothing
-    moved = reached(len(x), a, b, np.flatnonzero(held))
-    if not np.any(moved[a] & ~held[a]):
+    side = np.concatenate([np.full((d, 2), -1), apertures.node_side.reshape(m, 2), lies_on])
+    place = np.concatenate([pores, nodes, at_rim])
+    return _Joined(place, side, a[conducts], b[conducts], g[conducts])
+
+
+def _moved(joined: _Joined, held: np.ndarray) -> np.ndarray:
+    """Which places (n,) the pressures of the held ones reach.
+
+    Raises `ModelError` where they reach no other: parts that they do not carry nothing.
+    """
+    moved = reached(len(held), joined.a, joined.b, np.flatnonzero(held))
+    if not np.any(moved[joined.a] & ~held[joined.a]):
         raise ModelError(
             "no conducting pipe reaches the rim, so there is no permeability to measure; give the "
             "matrix an aperture"
         )
-    p = _steady(a, b, g, np.column_stack([-x, -y]), held, moved)
-    drop = p[a] - p[b]
-    dissipation = viscosity * (drop.T @ (g[:, None] * drop))
-    values, axes = np.linalg.eigh(_spanned(network))
-    scale = (axes / np.sqrt(values)) @ axes.T
-    tensor = scale @ dissipation @ scale
-    return np.asarray(0.5 * (tensor + tensor.T))
+    return moved
 
 
 def _core(network: Network, apertures: Apertures) -> tuple[Network, Apertures]:
@@ -119,17 +182,17 @@ def _steady(
     held: np.ndarray,
     moved: np.ndarray,
 ) -> np.ndarray:
-    """Pressures (n, 2) that balance connections (a, b, g), as imposed at the places held."""
+    """Pressures (n, k) that balance connections (a, b, g), as imposed at the places held."""
     free = np.flatnonzero(moved & ~held)
     number = np.full(len(held), -1)
     number[free] = np.arange(len(free))
     between = (number[a] >= 0) & (number[b] >= 0)
-    excess, rhs = np.zeros(len(free)), np.zeros((len(free), 2))
+    excess, rhs = np.zeros(len(free)), np.zeros((len(free), imposed.shape[1]))
     for one, other in ((a, b), (b, a)):
         link = (number[one] >= 0) & held[other]
         node = number[one[link]]
         excess += np.bincount(node, weights=g[link], minlength=len(free))
-        for axis in (0, 1):
+        for axis in range(imposed.shape[1]):
             load = g[link] * imposed[other[link], axis]
             rhs[:, axis] += np.bincount(node, weights=load, minlength=len(free))
     i, j = number[a[between]], number[b[between]]
@@ -182,3 +245,18 @@ def measure(network: Network, apertures: Apertures, *, viscosity: float) -> Perm
     viscosity : of the fluid, Pa s
     """
     return Permeability(permeability(network, apertures, viscosity=viscosity))
+
+
+def measure_bar(
+    network: Network, apertures: Apertures, *, region: Rectangle, viscosity: float
+) -> BarPermeability:
+    """Permeability of the open network as a bar with sealed sides (the *measure_bar* stage).
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    region : where the case lies, m
+    viscosity : of the fluid, Pa s
+    """
+    return BarPermeability(bar_permeability(network, apertures, region=region, viscosity=viscosity))

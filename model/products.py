@@ -312,6 +312,12 @@ class Permeability(NamedTuple):
     tensor: Array  # (2, 2) m²
 
 
+class BarPermeability(NamedTuple):
+    """Permeability of the region as a bar with sealed sides."""
+
+    along: Array  # (2,) m², along x and y
+
+
 class FractureNetwork(NamedTuple):
     """What the network of the conducting traces is, by its geometry; ports are sides and wells."""
 

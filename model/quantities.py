@@ -92,6 +92,14 @@ CASE: dict[str, Quantity] = {
         ("permeability",),
         comment="with a pressure linear along the rim: an upper bound where fractures meet it",
     ),
+    "bar_permeability": Quantity(
+        "m2",
+        ("direction",),
+        "permeability of the region as a bar with sealed sides along the flow",
+        ("bar_permeability",),
+        comment="flow between the two sides across times viscosity and length, over their area and "
+        "fall of pressure",
+    ),
     "boundary_flow": Quantity(
         "m3 s-1",
         ("boundary", "elapsed_time"),
@@ -546,6 +554,7 @@ COORDINATES: dict[str, Quantity] = {
     "row": Quantity("", ("row",), "row of a tensor"),
     "column": Quantity("", ("column",), "column of a tensor"),
     "component": Quantity("", ("component",), "component of the stress"),
+    "direction": Quantity("", ("direction",), "direction of the flow"),
     "energy_part": Quantity("", ("energy_part",), "part of the energy of a test"),
     "wall": Quantity("", ("wall",), "wall of the specimen"),
     "stage": Quantity("", ("stage",), "stage of a case"),

@@ -31,6 +31,7 @@ from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from demflow.model.products import (
     Apertures,
+    BarPermeability,
     Emulator,
     FractureNetwork,
     Moduli,
@@ -453,6 +454,15 @@ STAGES: tuple[Stage, ...] = (
         product=Permeability,
     ),
     Stage(
+        name="measure_bar",
+        function="demflow.model.permeability:measure_bar",
+        version=1,
+        parents=("network", "open"),
+        reads={"region": lambda s: s.rock, "viscosity": _viscosity},
+        wanted=lambda s: s.needs("measure_bar"),
+        product=BarPermeability,
+    ),
+    Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
         version=18,
@@ -612,7 +622,7 @@ STAGES: tuple[Stage, ...] = (
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures", "moduli", "consolidate"),
-            *("fracture", "follow"),
+            *("fracture", "follow", "measure_bar"),
         ),
         reads={
             "region": lambda s: s.rock,

@@ -11,7 +11,7 @@ from demflow.model.analytic import lattice as closed_form
 from demflow.model.network.apertures import pipe_conductance, uniform
 from demflow.model.network.domains import network
 from demflow.model.outcome import ModelError
-from demflow.model.permeability import permeability, unit_permeability
+from demflow.model.permeability import bar_permeability, permeability, unit_permeability
 from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import Trace
 from tests.reservoirs import reservoir
@@ -195,3 +195,56 @@ def test_conductances_are_those_of_plates():
     g = pipe_conductance(np.array([1e-4]), np.array([2 * R]), 1e-3)[0]
     tensor = permeability(net, uniform(net, 1e-4, 1e-3), viscosity=1e-3)
     assert tensor[0, 0] == pytest.approx(g * 1e-3, rel=1e-12)
+
+
+TRACES = (
+    Trace(name="a", aperture=2e-4, start=(-1.1, -0.3), end=(1.2, 0.5)),
+    Trace(name="b", aperture=1e-4, start=(-0.2, 1.0), end=(0.4, -1.0)),
+    Trace(name="wall", start=(-0.6, -0.9), end=(-0.4, 0.3), thickness=0.02, permeability=1e-19),
+)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_bar_has_the_permeability_of_its_flow(seed):
+    """Two assemblies of the same rock that share nothing: from side to side the same flow."""
+    box = Rectangle(1.9, 1.6)
+    rock = reservoir(random_graph(1.3, 900, seed), box, 2e-5, TRACES)
+    along = bar_permeability(rock.network, rock.apertures, region=box, viscosity=1e-3)
+    for k, (one, other, over) in zip(
+        along, (("left", "right", 1.9 / 1.6), ("bottom", "top", 1.6 / 1.9)), strict=True
+    ):
+        seen = rock.observed((), ((one, 3e5), (other, 1e5)), method="steady")
+        flow = float(np.ravel(seen["boundary_flow"])[0])
+        assert k == pytest.approx(1e-3 * flow / 2e5 * over, rel=1e-4)
+    tensor = permeability(rock.network, rock.apertures, viscosity=1e-3)
+    assert along[0] <= tensor[0, 0] * 1.02
+    assert along[1] <= tensor[1, 1] * 1.02  # with more freedom at its rim it dissipates less
+
+
+@pytest.mark.parametrize("kind", LATTICES)
+def test_bars_of_lattices_are_nearly_as_permeable_as_their_closed_form(kind):
+    make, k, _ = LATTICES[kind]
+    box = Rectangle(1.61, 1.13)
+    net = network(make(1.2, 0.02, (0.003, 0.004)), region=box)
+    along = bar_permeability(net, uniform(net, 1.0, 1.0), region=box, viscosity=1.0)
+    np.testing.assert_allclose(along / (k * R / 0.02), 1.0, atol=0.03)
+
+
+def test_a_fracture_along_a_bar_adds_its_own_share():
+    box = Rectangle(1.6, 1.0)
+    trace = Trace(name="t", aperture=1e-4, start=(-1.5, 0.02), end=(1.5, 0.02))
+    made = reservoir(random_graph(1.2, 500, 4), box, 1e-8, (trace,))
+    along = bar_permeability(made.network, made.apertures, region=box, viscosity=1e-3)
+    assert along[0] == pytest.approx(1e-12 / 12, rel=1e-6)
+    assert along[1] < 1e-4 * along[0]
+
+
+def test_a_sealed_bar_has_no_permeability_to_measure():
+    box = Rectangle(1.6, 1.0)
+    made = reservoir(square_lattice(1.0, R), box, 0.0)
+    with pytest.raises(ModelError, match="no conducting pipe"):
+        bar_permeability(made.network, made.apertures, region=box, viscosity=1e-3)
+    lone = Trace(name="t", aperture=1e-4, start=(-1.5, 0.02), end=(0.5, 0.02))
+    made = reservoir(square_lattice(1.0, R), box, 0.0, (lone,))
+    with pytest.raises(ModelError, match="no flow goes from left to right"):
+        bar_permeability(made.network, made.apertures, region=box, viscosity=1e-3)

@@ -313,11 +313,18 @@ def test_only_flow_outputs_need_flow():
     assert good().flows
     for name in set(OBSERVABLES) - {*OF_COUPLING, *OF_BREAKING}:
         made = good(
-            observe=(name,), probes=(Probe("p", (0.0, 0.0)),), grains=STIFF, test=FailureTest(),
+            region=Rectangle(2.0, 2.0), observe=(name,), probes=(Probe("p", (0.0, 0.0)),),
+            grains=STIFF, test=FailureTest(),
             bonds=Bonds(kind="contact", tensile_strength=1e7, shear_strength=1e7),
             stress=Stress(1e7, 1e7),
         )  # fmt: skip
-        without = ("permeability", "grain_map", "fracture_network", *MEASURED_BY_A_TEST)
+        without = (
+            "permeability",
+            "bar_permeability",
+            "grain_map",
+            "fracture_network",
+            *MEASURED_BY_A_TEST,
+        )
         without += ("elastic_moduli", "force_chains")
         assert made.flows == (name not in without)
     assert not good(observe=("permeability",), times=(), wells=(), boundaries=()).flows

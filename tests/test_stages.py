@@ -49,7 +49,7 @@ BONDS = Bonds(kind="parallel", tensile_strength=2e7, shear_strength=2e7)
 TEST = FailureTest(confining_stress=1e6, strain_step=4e-6)
 LOOSE = {"bonds": None, "stress": None, "test": None}
 SCENE = Scene(
-    region=Circle(1.0),
+    region=Rectangle(1.9, 1.8),
     grains=GRAINS,
     matrix=Matrix(permeability=1e-14, half_force=5e6),
     fluid=Fluid(1e-3, 1e9),
@@ -197,6 +197,7 @@ READS = {
     "calibrate": set(),
     "walk": {"region", "fractures"},
     "open": {"region", "matrix", "fractures", "joint", "viscosity"},
+    "measure_bar": {"region", "viscosity"},
     "measure": {"viscosity"},
     # of the pressures it knows only whether the boundary differs from the start
     "flow": {"region", "bulk_modulus", "well.radius", "times", "solver", "probes", "observe"}
@@ -238,7 +239,7 @@ def variants():
     for name, value in grains.items():
         yield f"grains.{name}", changed(grains=dataclasses.replace(GRAINS, **{name: value}))
     well = SCENE.wells[0]
-    yield "region", changed(region=Circle(1.05))
+    yield "region", changed(region=Rectangle(2.0, 1.8))
     yield "stress", changed(stress=Stress(1.1e7, 1e7))
     yield "bonds", changed(bonds=dataclasses.replace(BONDS, tensile_strength=3e7))
     yield "test", changed(test=dataclasses.replace(TEST, confining_stress=2e6))
@@ -347,6 +348,7 @@ def test_shapes_are_those_of_the_table():
         "row": 2,
         "column": 2,
         "component": 3,
+        "direction": 2,
         "energy_part": 7,
     }
     rare = {name for name, quantity in CASE.items() if "event" in quantity.dimensions}

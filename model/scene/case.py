@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Pierced, Region, Shape, side_length
+from demflow.model.region import Pierced, Rectangle, Region, Shape, side_length
 from demflow.model.scene.coupling import Coupling, Reckoned, coupling_problems, reckoned
 from demflow.model.scene.flow import (
     STANDARD_GRAVITY,
@@ -46,6 +46,7 @@ _PORES = ("network", "open")  # pores and their pipes
 OBSERVABLES: dict[str, tuple[str, ...]] = {
     "well_pressure": (*_PORES, "flow"),
     "permeability": (*_PORES, "measure"),
+    "bar_permeability": (*_PORES, "measure_bar"),
     "pressure_map": (*_PORES, "flow"),
     "boundary_flow": (*_PORES, "flow"),
     "boundary_pressure": (*_PORES, "flow"),
@@ -341,6 +342,10 @@ class Scene:
         if self.tests and self.test is None:
             what = "moduli, strength and cracks are measured by a test; describe it, for instance "
             yield "test", what + "{kind: biaxial, confining_stress: 1 MPa}"
+        bar = self.needs("measure_bar")
+        if bar and (self.coupled or not isinstance(self.rock, Rectangle)):
+            what = "bar_permeability is that of a bar, a rectangle without holes or coupling"
+            yield "observe", f"{what}; take permeability elsewhere"
         if "energy" in self.observe and self.test is not None and self.test.kind == "tension":
             yield "observe", "energy is counted in biaxial tests, where walls put it in"
         if self.needs("moduli"):

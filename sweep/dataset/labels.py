@@ -18,6 +18,7 @@ FIXED = {
     "row": ("x", "y"),
     "column": ("x", "y"),
     "component": ("xx", "yy", "xy"),
+    "direction": ("x", "y"),
     "energy_part": ENERGIES,
     "wall": ("left", "right", "bottom", "top"),
 }
