@@ -1,7 +1,7 @@
 """Wells half a pore to two pores beside a fracture that conducts without resistance.
 
 In a disc with its rim at a constant pressure and the fracture along its diameter at the same, a
-well at z falls by ln(2 |Im z| (1 − |z|²) / (r_w |1 − z²|)) μ / 2πk.
+well at z falls by ln((1 − |z|²) / |1 − z²|) + arcosh(|Im z| / r_w) over 2π k/μ.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ ACROSS = Trace(name="across", aperture=3e-3, start=(-1.5, 0.0), end=(1.5, 0.0))
 
 def beside_a_line(at: complex, radius: float) -> float:
     """2π k/μ times the fall of the pressure in the continuum."""
-    return math.log(2 * abs(at.imag) * (1 - abs(at) ** 2) / (radius * abs(1 - at**2)))
+    away = math.acosh(abs(at.imag) / radius)  # of a circle from a straight line
+    return math.log((1 - abs(at) ** 2) / abs(1 - at**2)) + away
 
 
 def run() -> Result:

@@ -22,8 +22,9 @@ from demflow.model.flow.equation.wells import (
     pores_of_wells,
     with_skin,
 )
+from demflow.model.flow.equation.wells_by_traces import cuts_by_wells
 from demflow.model.network.connectivity import reached
-from demflow.model.network.fractures.subdivide import Cuts, cuts_of, subdivide
+from demflow.model.network.fractures.subdivide import Cuts, cuts_of, joined_cuts, subdivide
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Network
 from demflow.model.region import Region, distance_to_rim, named_sides
@@ -254,18 +255,18 @@ def _placed(
 ) -> Wells:
     """The pores of each well, and the field that it would have in uniform rock."""
     fixed = sources_of_sides(region, sides) >= 0
-    fields, mean = [], np.zeros(len(wells))
+    fields, mean, apart = [], np.zeros(len(wells)), np.zeros(len(wells))
     for k, well in enumerate(wells):
         mobility = mobility_around(network, apertures, region, well.at, well.radius)
         mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
-        spacing = spacing_around(network, well.at, well.radius)
+        apart[k] = spacing = spacing_around(network, well.at, well.radius)
         rim = distance_to_rim(region, np.array([well.at]))[0] - well.radius
         reach = well.radius + spacing * float(np.clip(rim / spacing, *RING_PORES))
         field = (
             well_field(well.at, well.radius, mobility, region, fixed, reach) if mean[k] else None
         )
         fields.append(field)
-    return Wells(wells, pores_of_wells(network, wells), fields, mean)
+    return Wells(wells, pores_of_wells(network, wells), fields, mean, apart)
 
 
 def _connections(
@@ -281,7 +282,7 @@ def _connections(
     edges, cuts = _rock(network, apertures, side_source[network.cut_side], len(wells.sites))
     joined = join_wells(edges, network, wells)
     cuts = cuts.along(joined.way, joined.turned)
-    cuts = _seen_from_wells(cuts, joined, network, apertures, wells)
+    cuts, links = cuts_by_wells(cuts, joined, network, apertures, wells, region, side_source >= 0)
     # nodes of traces are numbered after the pores
     nodes = len(apertures.node_x)
     a, b = (np.where(t >= len(network.x), t + nodes, t) for t in (joined.a, joined.b))
@@ -289,7 +290,9 @@ def _connections(
     first_well = len(terminal)
     places = np.append(terminal, np.arange(first_well, first_well + len(wells.sites) + len(sides)))
     p, q, along = branches(apertures, wells.sites, len(network.x), first_well)
-    a, b, g = np.append(places[a], places[p]), np.append(places[b], places[q]), np.append(g, along)
+    p = np.concatenate([a, p, [len(network.x) + link.node for link in links]]).astype(np.int64)
+    q = np.concatenate([b, q, [first_well + link.well for link in links]]).astype(np.int64)
+    a, b, g = places[p], places[q], np.concatenate([g, along, [link.g for link in links]])
     conducts = (a != b) & (g > 0.0)
     a, b, g = a[conducts], b[conducts], g[conducts]
     for number, well in enumerate(wells.sites):
@@ -353,27 +356,7 @@ def _rock(
         .shifted(len(pipe)),
         cuts_of(apertures, network.cut[cut], backward[cut], part).shifted(len(pipe) + len(k)),
     )
-    return edges, Cuts(*(np.concatenate(columns) for columns in zip(*cuts, strict=True)))
-
-
-def _seen_from_wells(
-    cuts: Cuts, edges: Edges, network: Network, apertures: Apertures, wells: Wells
-) -> Cuts:
-    """Cuts of what leaves a well where a logarithmic field has them, as parts of the resistance."""
-    well = edges.a[cuts.way] - len(network.x)
-    of_well = np.flatnonzero((well >= 0) & (cuts.node >= 0))
-    if len(of_well) == 0:
-        return cuts
-    at = np.array([site.at for site in wells.sites])[well[of_well]]
-    radius = np.array([site.radius for site in wells.sites])[well[of_well]]
-    node = cuts.node[of_well]
-    here = np.hypot(apertures.node_x[node] - at[:, 0], apertures.node_y[node] - at[:, 1])
-    far = np.hypot(*(edges.end[cuts.way[of_well]] - at).T)
-    fraction = cuts.fraction.copy()
-    outside = far > radius
-    logs = np.log(np.maximum(here, radius)[outside] / radius[outside])
-    fraction[of_well[outside]] = logs / np.log(far[outside] / radius[outside])
-    return cuts._replace(fraction=fraction)
+    return edges, joined_cuts(*cuts)
 
 
 def _around_sealed_sides(

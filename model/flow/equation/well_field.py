@@ -87,7 +87,7 @@ def well_field(
     stretch = np.sqrt(mean / values)
     scale = stretch[:, None] * vectors.T
     here = np.asarray(at, dtype=float)
-    image, sign = _images(here, scale, region, fixed, reach)
+    image, sign = images(here, scale, region, fixed, reach)
     return WellField(
         at=here,
         scale=scale,
@@ -98,7 +98,7 @@ def well_field(
     )
 
 
-def _images(
+def images(
     at: np.ndarray, scale: np.ndarray, region: Region, fixed: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Places (i, 2) and signs (i,) of the images, in the coordinates of `scale` from the well."""

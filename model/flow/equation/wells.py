@@ -72,6 +72,7 @@ class Wells(NamedTuple):
     taken: list[np.ndarray]  # pores of each
     fields: list[WellField | None]  # None where no rock conducts around it
     mobility: np.ndarray  # (wells,) √det(k/μ) of the rock around each, m²/(Pa s)
+    spacing: np.ndarray  # (wells,) of the pores around each, m
 
 
 class Star(NamedTuple):

@@ -22,6 +22,11 @@ class Cuts(NamedTuple):
     fraction: np.ndarray  # (c,) part of its resistance that lies before
     node: np.ndarray  # (c,) node of the trace, −1 at a barrier
     resistance: np.ndarray  # (c,) Pa s/m³ that a barrier adds, 0 at a trace
+    spur: np.ndarray  # (c,) part of the connection's resistance from its place to the node
+
+    def only(self, which: np.ndarray) -> Cuts:
+        """Some of them."""
+        return Cuts(*(column[which] for column in self))
 
     def shifted(self, by: int) -> Cuts:
         """The same of connections numbered from `by` on."""
@@ -43,7 +48,7 @@ class Cuts(NamedTuple):
         place = np.full(int(max(way.max(initial=-1), self.way.max(initial=-1))) + 1, -1)
         known = np.flatnonzero(way >= 0)
         place[way[known]] = known
-        kept = Cuts(*(column[place[self.way] >= 0] for column in self))
+        kept = self.only(place[self.way] >= 0)
         way = place[kept.way]
         fraction = np.where(turned[way], 1.0 - kept.fraction, kept.fraction)
         return kept._replace(way=way, fraction=fraction)
@@ -67,8 +72,19 @@ def cuts_of(apertures: Apertures, pipe: np.ndarray, backward: np.ndarray, part: 
     cross = np.arange(len(way)) - np.repeat(np.cumsum(count) - count - first, count)
     fraction = apertures.cross_fraction[cross]
     fraction = np.where(backward[way], 1.0 - fraction, fraction) / part[way]
-    found = Cuts(way, fraction, apertures.cross_node[cross], apertures.cross_resistance[cross])
-    return Cuts(*(column[fraction <= 1.0] for column in found))
+    found = Cuts(
+        way,
+        fraction,
+        apertures.cross_node[cross],
+        apertures.cross_resistance[cross],
+        np.zeros(len(way)),
+    )
+    return found.only(fraction <= 1.0)
+
+
+def joined_cuts(*parts: Cuts) -> Cuts:
+    """All of some cuts."""
+    return Cuts(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
 def subdivide(
@@ -77,7 +93,9 @@ def subdivide(
     """Connections (n,) from `a` to `b`, m³/(s Pa), with every trace and barrier on their way.
 
     A trace crossed at the fraction t parts a conductance g in g / t and g / (1 − t), a barrier
-    adds its resistance in series where it stands. Node k of the traces is terminal
+    adds its resistance in series where it stands. Where a single trace is met by a spur of s / g,
+    the star of the three is a triangle: g s / D between the terminals, g (1 − t) / D and g t / D to
+    the node, D = t (1 − t) + s. Node k of the traces is terminal
     `first_node` + k. Only sums of resistances are formed, so that no contrast costs a digit.
 
     Parameters
@@ -91,6 +109,20 @@ def subdivide(
     count = len(a)
     if len(cuts.way) == 0:
         return a, b, conductance
+    lone = (cuts.spur > 0.0) & (np.bincount(cuts.way, minlength=count)[cuts.way] == 1)
+    if lone.any():
+        way, t, s = cuts.way[lone], np.clip(cuts.fraction[lone], NEAREST, 1.0 - NEAREST), cuts.spur[lone]
+        other = np.ones(count, dtype=bool)
+        other[way] = False
+        rest = cuts.only(~lone)
+        rest = rest._replace(way=(np.cumsum(other) - 1)[rest.way], spur=np.zeros(len(rest.way)))
+        g, node = conductance[way] / (t * (1.0 - t) + s), first_node + cuts.node[lone]
+        p, q, h = subdivide(a[other], b[other], conductance[other], rest, first_node)
+        return (
+            np.concatenate([p, a[way], a[way], b[way]]),
+            np.concatenate([q, b[way], node, node]),
+            np.concatenate([h, g * s, g * (1.0 - t), g * t]),
+        )
     order = np.lexsort((cuts.fraction, cuts.way))
     owner, node, resistance = (column[order] for column in (cuts.way, cuts.node, cuts.resistance))
     fraction = np.clip(cuts.fraction[order], NEAREST, 1.0 - NEAREST)
