@@ -15,12 +15,9 @@ STEP = 0.2
 ON_WALL = 24
 BEYOND = 1.5
 
-# Images of the charges are taken in sides this many times as far away as those of the well.
-IMAGES_BEYOND = 3.0
-
 
 class GroundedField(NamedTuple):
-    """u(x) of a well of unit flow, as that of a `WellField`, zero on the traces around it.
+    """u(x) of a well of unit flow, as that of a `WellField`, zero on the traces around it if any.
 
     Charges of constant density on straight pieces, whose middles have the pressure that is known
     there: zero on traces, one that is to be found on the well's wall.
@@ -34,13 +31,31 @@ class GroundedField(NamedTuple):
     image_charge: np.ndarray  # (i,)
     at_wall: float  # pressure u of the well itself
 
+    @property
+    def at(self) -> np.ndarray:
+        """Centre of the well, (2,) m."""
+        return self.free.at
+
+    @property
+    def scale(self) -> np.ndarray:
+        """(2, 2): coordinates along the principal directions, made isotropic."""
+        return self.free.scale
+
+    @property
+    def reach(self) -> float:
+        """How far the field holds, m."""
+        return self.free.reach
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Distance from the axis in the coordinates in which the rock is isotropic, (n,) m."""
+        return self.free.distance(points)
+
     def at_points(self, points: np.ndarray) -> np.ndarray:
         """Pressure u at points (n, 2) m, (n,)."""
         z = _isotropic(self.free, points)
         found: np.ndarray = _of_pieces(z, self.start, self.end, self.free.reach) @ self.charge
         if len(self.image):
-            far = np.abs(z[:, None] - self.image) / self.free.reach
-            found = found + np.log(far) @ self.image_charge
+            found = found + _of_points(z, self.image, self.free.reach) @ self.image_charge
         return found
 
 
@@ -73,31 +88,21 @@ def grounded_field(
     one, other = np.concatenate(pieces).T
     middle = 0.5 * (one + other)
     n = len(middle)
-    back = np.linalg.inv(free.scale)
-    place, of, sign = [], [], []
-    reach = IMAGES_BEYOND * free.reach
-    if len(free.image):
-        for k, z in enumerate(middle.tolist()):
-            here = free.at + back @ np.array([z.real, z.imag])
-            offset, signs = images(here, free.scale, region, fixed, reach)
-            place.append(z + offset[:, 0] + 1j * offset[:, 1])
-            of.append(np.full(len(signs), k))
-            sign.append(signs)
-    image = np.concatenate([np.empty(0, dtype=complex), *place])
-    owner = np.concatenate([np.empty(0, dtype=np.int64), *of])
-    signs = np.concatenate([np.empty(0), *sign])
+    points = np.column_stack([middle.real, middle.imag]) @ np.linalg.inv(free.scale).T + free.at
+    mirrored, sign = images(points, free.at, free.scale, region, fixed, free.reach)
+    image = mirrored[..., 0] + 1j * mirrored[..., 1]  # (i, n)
     matrix = np.zeros((n + 1, n + 1))
     matrix[:n, :n] = _of_pieces(middle, one, other, free.reach)
-    far = np.abs(middle[:, None] - image) / free.reach
-    logs = np.log(np.maximum(far, np.finfo(float).tiny)) * signs
-    np.add.at(matrix[:n, :n].T, owner, logs.T)
+    for places, way in zip(image, sign, strict=True):
+        matrix[:n, :n] += way * _of_points(middle, places, free.reach)
     matrix[:ON_WALL, n] = -1.0
     matrix[n, :ON_WALL] = 1.0
     known = np.zeros(n + 1)
     known[n] = 1.0
     found = np.linalg.solve(matrix, known)
     charge = found[:n]
-    return GroundedField(free, one, other, charge, image, charge[owner] * signs, float(found[n]))
+    mirror = (sign[:, None] * charge).ravel()
+    return GroundedField(free, one, other, charge, image.ravel(), mirror, float(found[n]))
 
 
 def _graded(start: complex, end: complex, within: float) -> np.ndarray:
@@ -114,6 +119,13 @@ def _graded(start: complex, end: complex, within: float) -> np.ndarray:
     count = max(4, int(np.ceil((high - low) / STEP)))
     places = foot + away * np.sinh(np.linspace(low, high, count + 1))
     found: np.ndarray = start + places * along
+    return found
+
+
+def _of_points(z: np.ndarray, places: np.ndarray, unit: float) -> np.ndarray:
+    """ln(distance / unit) of points (n,) from places (c,), (n, c)."""
+    far = np.maximum(np.abs(z[:, None] - places), np.finfo(float).tiny)
+    found: np.ndarray = np.log(far / unit)
     return found
 
 

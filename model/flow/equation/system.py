@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.flow.equation.branches import branches, wells_of_nodes
+from demflow.model.flow.equation.grounded_field import GroundedField, grounded_field
 from demflow.model.flow.equation.local_rock import mobility_around, spacing_around
 from demflow.model.flow.equation.sites import InflowSite, Site, WellSite
-from demflow.model.flow.equation.well_field import well_field
+from demflow.model.flow.equation.well_field import WellField, well_field
 from demflow.model.flow.equation.wells import (
     Edges,
     Wells,
@@ -255,17 +256,22 @@ def _placed(
 ) -> Wells:
     """The pores of each well, and the field that it would have in uniform rock."""
     fixed = sources_of_sides(region, sides) >= 0
-    fields, mean, apart = [], np.zeros(len(wells)), np.zeros(len(wells))
+    fields: list[WellField | GroundedField | None] = []
+    mean, apart = np.zeros(len(wells)), np.zeros(len(wells))
     for k, well in enumerate(wells):
         mobility = mobility_around(network, apertures, region, well.at, well.radius)
         mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
         apart[k] = spacing = spacing_around(network, well.at, well.radius)
         rim = distance_to_rim(region, np.array([well.at]))[0] - well.radius
         reach = well.radius + spacing * float(np.clip(rim / spacing, *RING_PORES))
-        field = (
-            well_field(well.at, well.radius, mobility, region, fixed, reach) if mean[k] else None
-        )
-        fields.append(field)
+        if not mean[k]:
+            fields.append(None)
+            continue
+        field = well_field(well.at, well.radius, mobility, region, fixed, reach)
+        # beside a rim the wall of a well does not lie on one pressure of a line's field
+        alone = np.empty((0, 2))
+        beside = len(field.image) > 0
+        fields.append(grounded_field(field, alone, alone, region, fixed) if beside else field)
     return Wells(wells, pores_of_wells(network, wells), fields, mean, apart)
 
 

@@ -28,6 +28,7 @@ class WellField(NamedTuple):
     image: np.ndarray  # (i, 2) m, in those coordinates, from the well
     sign: np.ndarray  # (i,)
     reach: float  # m: how far it holds, and the distance of which its logarithm is zero
+    at_wall: float  # pressure u of the well itself
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Distance from the axis in the coordinates in which the rock is isotropic, (n,) m."""
@@ -44,12 +45,6 @@ class WellField(NamedTuple):
         own = np.log(np.maximum(np.abs(z + root) / 2, 0.5 * (a + b)) / self.reach)
         found: np.ndarray = own + self._of_images(place)
         return found
-
-    @property
-    def at_wall(self) -> float:
-        """Pressure u of the well itself."""
-        own = np.log(0.5 * sum(self.half_axes) / self.reach)
-        return float(own + self._of_images(np.zeros((1, 2)))[0])
 
     def _of_images(self, place: np.ndarray) -> np.ndarray:
         if len(self.image) == 0:
@@ -87,58 +82,82 @@ def well_field(
     stretch = np.sqrt(mean / values)
     scale = stretch[:, None] * vectors.T
     here = np.asarray(at, dtype=float)
-    image, sign = images(here, scale, region, fixed, reach)
-    return WellField(
-        at=here,
-        scale=scale,
-        half_axes=(float(radius * stretch[0]), float(radius * stretch[1])),
-        image=image,
-        sign=sign,
-        reach=reach,
-    )
+    image, sign = images(here[None], here, scale, region, fixed, reach)
+    a, b = (float(radius * s) for s in stretch)
+    at_wall = float(np.log(0.5 * (a + b) / reach))
+    return WellField(here, scale, (a, b), image[:, 0], sign, reach, at_wall)
 
 
 def images(
-    at: np.ndarray, scale: np.ndarray, region: Region, fixed: np.ndarray, reach: float
+    points: np.ndarray,
+    at: np.ndarray,
+    scale: np.ndarray,
+    region: Region,
+    fixed: np.ndarray,
+    reach: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places (i, 2) and signs (i,) of the images, in the coordinates of `scale` from the well."""
-    images: list[tuple[np.ndarray, float]] = []
+    """Images (i, n, 2) of points (n, 2), in the coordinates of `scale` from a well, and signs (i,).
+
+    They are those in the sides that are within `reach` of the well.
+
+    Parameters
+    ----------
+    points : what has images, (n, 2) m
+    at : centre of the well, (2,) m
+    scale : (2, 2), of coordinates that make the rock isotropic
+    region : where the case lies, m
+    fixed : (sides,) bool, which sides keep a pressure
+    reach : distance of the well within which sides count, m
+    """
+    found: list[np.ndarray] = []
+    sign: list[float] = []
     for shape, place, sides in parts_of(region):
         here = at - place
         if isinstance(shape, Circle):
             distance = float(np.linalg.norm(here))
             if abs(shape.radius - distance) > reach or distance == 0.0:
                 continue
-            away = scale @ (here * ((shape.radius / distance) ** 2 - 1.0))
-            images.append((away, -1.0 if fixed[sides[0]] else 1.0))
+            ours = points - place
+            square = np.maximum((ours * ours).sum(axis=1), np.finfo(float).tiny)
+            found.append((ours * (shape.radius**2 / square)[:, None] - here) @ scale.T)
+            sign.append(-1.0 if fixed[sides[0]] else 1.0)
             if sides[0] > 0 and not fixed[sides[0]]:  # nothing flows into a sealed hole
-                images.append((scale @ -here, -1.0))
+                found.append(np.broadcast_to(scale @ -here, points.shape))
+                sign.append(-1.0)
         else:
-            corners = np.asarray(shape.vertices, dtype=float)
-            images += _in_edges(here, scale, corners, fixed[sides], reach)
-    if not images:
-        return np.empty((0, 2)), np.empty(0)
-    return np.array([place for place, _ in images]), np.array([sign for _, sign in images])
+            corners = np.asarray(shape.vertices, dtype=float) + place
+            more, signs = _in_edges(points, at, scale, corners, fixed[sides], reach)
+            found += more
+            sign += signs
+    return np.array(found).reshape(-1, len(points), 2), np.array(sign)
 
 
 def _in_edges(
-    at: np.ndarray, scale: np.ndarray, corners: np.ndarray, fixed: np.ndarray, reach: float
-) -> list[tuple[np.ndarray, float]]:
-    """Places and signs of the images in the edges of a polygon, and in its right angles."""
-    near: list[tuple[np.ndarray, np.ndarray, float]] = []  # foot, normal, sign
+    points: np.ndarray,
+    at: np.ndarray,
+    scale: np.ndarray,
+    corners: np.ndarray,
+    fixed: np.ndarray,
+    reach: float,
+) -> tuple[list[np.ndarray], list[float]]:
+    """Images of points in the edges of a polygon and in its right angles, and their signs."""
+    place = (points - at) @ scale.T
+    near: list[tuple[np.ndarray, np.ndarray, float]] = []  # feet of all points, normal, sign
     for k, (start, end) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
         part = np.clip((at - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
         if np.linalg.norm(start + part * (end - start) - at) > reach:
             continue
         along = scale @ (end - start)
-        along /= np.linalg.norm(along)
-        offset = scale @ (start - at)
-        foot = offset - (offset @ along) * along
-        if not foot.any():
+        normal = np.array([-along[1], along[0]]) / np.linalg.norm(along)
+        offset = float(scale @ (start - at) @ normal)
+        if offset == 0.0:
             continue
-        near.append((foot, foot / np.linalg.norm(foot), -1.0 if fixed[k] else 1.0))
-    images = [(2.0 * foot, sign) for foot, _, sign in near]
+        foot = (offset - place @ normal)[:, None] * normal
+        near.append((foot, normal, -1.0 if fixed[k] else 1.0))
+    found = [place + 2.0 * foot for foot, _, _ in near]
+    signs = [sign for _, _, sign in near]
     for (foot, normal, sign), (other, other_normal, other_sign) in combinations(near, 2):
         if abs(normal @ other_normal) < UPRIGHT:
-            images.append((2.0 * (foot + other), sign * other_sign))
-    return images
+            found.append(place + 2.0 * (foot + other))
+            signs.append(sign * other_sign)
+    return found, signs

@@ -18,6 +18,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 
+from demflow.model.flow.equation.grounded_field import GroundedField
 from demflow.model.flow.equation.sites import WellSite
 from demflow.model.flow.equation.well_field import WellField
 from demflow.model.flow.linear.factor import analyse, factorise, solve
@@ -70,7 +71,7 @@ class Wells(NamedTuple):
 
     sites: tuple[WellSite, ...]
     taken: list[np.ndarray]  # pores of each
-    fields: list[WellField | None]  # None where no rock conducts around it
+    fields: list[WellField | GroundedField | None]  # None where no rock conducts around it
     mobility: np.ndarray  # (wells,) √det(k/μ) of the rock around each, m²/(Pa s)
     spacing: np.ndarray  # (wells,) of the pores around each, m
 
@@ -338,14 +339,16 @@ def _surroundings(
     near &= network.inside
     local = np.flatnonzero(near)
     node[local] = np.arange(len(local))
-    pressures = np.column_stack([field.at_points(place) for field in fields])
 
     a, b = node[rest.a], node[rest.b]
     within, out, back = (a >= 0) & (b >= 0), (a >= 0) & (b < 0), (a < 0) & (b >= 0)
     ends = np.concatenate([a[out], b[back]])
     end_g = np.concatenate([rest.g[out], rest.g[back]]) / unit
     end_u = np.concatenate(
-        [np.column_stack([f.at_points(rest.end[out]) for f in fields]), pressures[rest.a[back]]]
+        [
+            np.column_stack([f.at_points(places) for f in fields])
+            for places in (rest.end[out], place[rest.a[back]])
+        ]
     )
     i, j, g = a[within], b[within], rest.g[within] / unit
     held = reached(len(local), i, j, ends[end_g > 0.0])

@@ -89,14 +89,15 @@ def cuts_by_wells(
         if away.min() <= site.radius:
             continue
         start, end = apertures.trace_start[near], apertures.trace_end[near]
-        grounded = grounded_field(field, start, end, region, fixed)
+        free = field.free if isinstance(field, GroundedField) else field
+        grounded = grounded_field(free, start, end, region, fixed)
         for pores in AROUND_PORES:
             reach = away.min() + pores * spacing
             tried = _fitted(cuts, edges, network, apertures, wells, k, near, grounded, reach)
             if tried.bound == 0:
                 break
         cuts = tried.cuts
-        if tried.bound < 0:
+        if tried.link is not None:
             links.append(tried.link)
     return cuts, links
 
@@ -204,11 +205,13 @@ class Around(NamedTuple):
     known: np.ndarray  # (w,) that pressure
 
     def well(self, cuts: Cuts, link: float) -> float:
-        """Pressure of the well at a unit rate, the ways cut by grounded traces, one linked to it."""
+        """Pressure of the well at a unit rate, the ways cut by grounded traces."""
         t = len(self.held)
         first = t + 1 + len(self.g)  # after the well and the ends whose pressure is known
         end = np.where(self.other < 0, t + 1 + np.arange(len(self.g)), self.other)
-        a, b, g = subdivide(self.one, end, self.g, cuts._replace(node=np.zeros_like(cuts.way)), first)
+        a, b, g = subdivide(
+            self.one, end, self.g, cuts._replace(node=np.zeros_like(cuts.way)), first
+        )
         value = np.append(np.zeros(t + 1), np.append(self.known, 0.0))
         matrix, load = np.zeros((t + 1, t + 1)), np.zeros(t + 1)
         for p, q in ((a, b), (b, a)):

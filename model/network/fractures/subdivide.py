@@ -111,7 +111,11 @@ def subdivide(
         return a, b, conductance
     lone = (cuts.spur > 0.0) & (np.bincount(cuts.way, minlength=count)[cuts.way] == 1)
     if lone.any():
-        way, t, s = cuts.way[lone], np.clip(cuts.fraction[lone], NEAREST, 1.0 - NEAREST), cuts.spur[lone]
+        way, t, s = (
+            cuts.way[lone],
+            np.clip(cuts.fraction[lone], NEAREST, 1.0 - NEAREST),
+            cuts.spur[lone],
+        )
         other = np.ones(count, dtype=bool)
         other[way] = False
         rest = cuts.only(~lone)
