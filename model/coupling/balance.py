@@ -314,6 +314,9 @@ def _besides(case: Case, found: Borne, moved: Flow, dt: float, keeps: Array) -> 
     m, d = case.push.shape
     (slips,) = np.nonzero(found.slips & (found.cross != 0.0))
     friction = s.sliding[slips].T @ diags_array(found.cross[slips]) @ s.parting[slips]
+    (lifts,) = np.nonzero(found.lifts)
+    if len(lifts):
+        friction += s.parting[lifts].T @ diags_array(found.lifts[lifts]) @ s.sliding[lifts]
     contact = np.append(c.contact, c.link_contact)
     slope = dt * np.append(moved.by_parting, moved.link_by_parting)
     (opens,) = np.nonzero((contact >= 0) & (slope != 0.0))

@@ -316,7 +316,6 @@ class March:
         if error > 0.0:
             grow = float(np.clip(0.8 * np.sqrt(self.tolerance / error), 0.2, GROWTH))
         hold = remembered(s, now.hold, now.found, now.u)
-        ledger = ledger._replace(slip=ledger.slip - self._lifted(now, hold))
         after = state._replace(
             time=float(state.time + dt),
             dt=dt * grow,
@@ -329,14 +328,6 @@ class March:
             ledger=ledger,
         )
         return after._replace(stopped=self._ends(after))
-
-    def _lifted(self, now: Balanced, hold: Hold) -> float:
-        """Energy that slip put into joints which it lifts, against what presses on them."""
-        s = self.case.skeleton
-        if not s.dilation.any():
-            return 0.0
-        after = stored_energy(s, hold, borne(s, hold, now.u), now.u)
-        return after - stored_energy(s, now.hold, now.found, now.u)
 
     def _booked(
         self,
@@ -358,6 +349,8 @@ class March:
         viscous = dt * float(pipe @ (middle[c.i] - middle[c.j]))
         viscous += dt * float(link @ (middle[c.link] - c.link_pressure))
         slip = _slipped(s, before, now.found) + damped_energy(state.hold, now.u)
+        lifted = now.hold.overlap + s.dilation * now.found.slid - state.hold.overlap
+        slip -= _lifting(before, now.found, lifted)
         jerks = _jerks(s, before, now.found)
         gain = self._energy(state.hold, now.found, now.u, now.p, mass) - self._energy(
             state.hold, before, state.u, state.p, state.mass
@@ -432,7 +425,6 @@ class March:
                 mass=mass,
                 hold=kept,
                 ledger=book._replace(
-                    slip=book.slip - self._lifted(after, kept),
                     let_in=book.let_in + self._let_in(wells, mass - state.mass),
                     work=book.work + work,
                     released=book.released + free,
@@ -570,6 +562,12 @@ def _slipped(s: Skeleton, before: Borne, after: Borne) -> float:
     lost = np.divide((before.shear - after.shear), s.ks, out=np.zeros(len(s.ks)), where=s.ks > 0.0)
     slide = after.slide - before.slide
     return float(np.sum(0.5 * (before.shear + after.shear) * np.where(s.ks > 0.0, lost - slide, 0)))
+
+
+def _lifting(before: Borne, after: Borne, lifted: Array) -> float:
+    """Work of joints that dilated (c,) on the way, against what presses on them."""
+    both = before.closed & after.closed
+    return 0.5 * float((before.normal + after.normal)[both] @ lifted[both])
 
 
 def _jerks(s: Skeleton, before: Borne, after: Borne) -> float:

@@ -99,6 +99,8 @@ class Borne(NamedTuple):
     ks: Array
     km: Array
     cross: Array  # (c,) change of the shear force by parting, where it slips
+    lifts: Array  # (c,) change of the normal force by sliding, where slip dilates
+    slid: Array  # (c,) slip since what is remembered
 
     @property
     def force(self) -> Array:
@@ -326,10 +328,18 @@ def borne(skeleton: Skeleton, hold: Hold, u: Array) -> Borne:
     closed = (s.beside | ~intact) & (overlap > 0.0)
     normal = np.where(closed, s.kn * overlap, 0.0)
     trial = np.where(closed, hold.shear - s.ks * (slide - hold.slid), 0.0)
-    limit = s.friction * normal
-    slips = closed & (np.abs(trial) > limit)
+    slips = closed & (np.abs(trial) > s.friction * normal)
     sense = np.sign(trial)
-    kn, ks = np.where(closed, s.kn, 0.0), np.where(closed & ~slips, s.ks, 0.0)
+    # slip takes from the shear and, where it dilates, adds to the normal force until T = μ N
+    lifted = s.kn * s.dilation
+    gives = s.ks + s.friction * lifted
+    slid = np.zeros(len(trial))
+    slid[slips] = ((np.abs(trial) - s.friction * normal) / np.maximum(gives, 1e-300))[slips]
+    normal = normal + lifted * slid
+    part_of = np.divide(s.ks, gives, out=np.ones(len(gives)), where=slips & (s.dilation > 0.0))
+    kn = np.where(closed, s.kn * part_of, 0.0)
+    ks = np.where(closed, np.where(slips, s.friction * lifted * part_of, s.ks), 0.0)
+    limit = s.friction * normal
     return Borne(
         part=part,
         slide=slide,
@@ -343,7 +353,9 @@ def borne(skeleton: Skeleton, hold: Hold, u: Array) -> Borne:
         kn=kn + np.where(intact, s.cn, 0.0),
         ks=ks + np.where(intact, s.cs, 0.0),
         km=np.where(intact, s.cm, 0.0),
-        cross=np.where(slips, -s.friction * sense * s.kn, 0.0),
+        cross=np.where(slips, -s.friction * sense * s.kn * part_of, 0.0),
+        lifts=np.where(slips, -sense * lifted * part_of, 0.0),
+        slid=slid,
     )
 
 
@@ -374,17 +386,11 @@ def remembered(skeleton: Skeleton, hold: Hold, found: Borne, u: Array) -> Hold:
     found : what contacts bear there
     u : displacement (3 n + 2,): x, y and turn of each grain, then the strains of the box
     """
-    slid = np.where(
-        found.slips,
-        np.abs(hold.shear - skeleton.ks * (found.slide - hold.slid) - found.shear)
-        / np.maximum(skeleton.ks, 1e-300),
-        0.0,
-    )
     return hold._replace(
-        overlap=hold.overlap + skeleton.dilation * slid,
+        overlap=hold.overlap + skeleton.dilation * found.slid,
         shear=found.shear,
         slid=found.slide,
-        slip=hold.slip + slid,
+        slip=hold.slip + found.slid,
         place=np.where(hold.grip < FIRM, u, hold.place),
         oil=np.where(hold.grip < FIRM, hold.grip * (u - hold.place), 0.0),
     )
