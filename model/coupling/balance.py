@@ -44,6 +44,7 @@ EQUATION = 1e-5  # relative residual of the equations of Newton's method, at the
 LOOSEST = 1e-2  # and where what is not linear is larger (Eisenstat & Walker 1996, choice 2)
 WAITS = 4  # iterations in which it has to come closer by half where a shorter step may do
 OILS = (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3)  # grips, over k_n
+THICKENED = 12  # times that it may be made thicker again, where a part is not found
 SETTLED = 1e-3  # force that they still bear, over the mean contact force
 LONGEST = 0.1  # mean radii by which an iteration moves grains at most
 
@@ -289,15 +290,20 @@ def through_oil(
     u, p, vapour : the state at the start
     last : what was found without it
     """
-    memory = first
-    for grip in OILS:
+    memory, stages, thickened = first, list(reversed(OILS)), 0
+    while stages:
+        grip = stages.pop()
         thick = np.maximum(first.grip, grip)
         thick[-2:] = first.grip[-2:]
         place = np.where(first.grip < FIRM, u, first.place)
         memory = memory._replace(grip=thick, place=place)
         now = balanced(case, memory, u, p, mass, fluid, vapour)
         if not now.reached:
-            return last
+            thickened += 1
+            if thickened > THICKENED:
+                return last
+            stages += [grip, 2.0 * grip]
+            continue
         held = float(np.abs((thick * (now.u - place))[first.grip < FIRM]).max())
         off = max(now.off, held / max(float(np.mean(np.abs(now.found.force))), 1e-300))
         own = memory._replace(grip=first.grip)
