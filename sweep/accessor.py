@@ -20,11 +20,20 @@ from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.analysis.sensitivity import sensitivity
 from demflow.sweep.dataset.open import open_results, same_value
 from demflow.sweep.errors import ResultsError
+from demflow.sweep.study.reservoir import Rock
 from demflow.sweep.study.units import UnitError, parse_unit
 
 if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
+
+
+# of what a straight line says, where it is no pressure
+_UNITS = {
+    **dict.fromkeys(("permeability", "permeability_error"), "m2"),
+    **dict.fromkeys(("skin_factor", "skin_error", "points"), "1"),
+    **dict.fromkeys(("start", "end"), "s"),
+}
 
 
 @xr.register_dataset_accessor("demflow")  # type: ignore[no-untyped-call]
@@ -124,6 +133,85 @@ class Results:
                 raise ResultsError(f"{axis} = {value} is not there; give one of {told}")
             chosen = chosen.isel({axis: places[0]})
         return plot_period(chosen, well, ax, since=since, until=until, time=time, pressure=pressure)
+
+    def straight_line(
+        self,
+        well: str,
+        *,
+        viscosity: float,
+        compressibility: float = np.nan,
+        well_radius: float = np.nan,
+        plot: str = "superposition",
+        rates: Sequence[tuple[float, float]] | None = None,
+        between: tuple[float, float] | None = None,
+    ) -> xr.Dataset:
+        """Return what a straight line through a well's last flow period says, for each case.
+
+        `permeability` with its error, `skin_factor`, `extrapolated` (p* of a well that is shut in),
+        `slope`, and between which times the line lies; NaN of cases that are not done, or show no
+        radial flow. See `sweep.analysis.straight_lines`.
+
+        Parameters
+        ----------
+        well : name of the well.
+        viscosity : of the fluid, Pa s.
+        compressibility : total, 1/Pa; the skin needs it, and the well's radius.
+        well_radius : m.
+        plot : mdh, horner or superposition.
+        rates : (time in s, new rate in m³/s) of the well; without it the rate is one.
+        between : s since the period began; by default the radial stretch of the derivative.
+
+        Raises ResultsError where there is no such well or plot, or the rate changes untold.
+        """
+        from demflow.sweep.analysis.straight_lines import PLOTS, StraightLine, straight_line
+
+        if plot not in PLOTS:
+            raise ResultsError(f"there is no plot {plot}, only {', '.join(PLOTS)}")
+        pressure, change = (self._variable(n) for n in ("well_pressure", "pressure_change"))
+        if well not in pressure["well"].values:
+            there = ", ".join(map(str, pressure["well"].values))
+            raise ResultsError(f"there is no well {well}; there are {there}")
+        if rates is None:
+            self._check_rates(change.sel(well=[well]))
+        times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
+        told = StraightLine._fields[1:]
+
+        def of(p: np.ndarray, fall: np.ndarray, rate: np.ndarray, porosity: float) -> np.ndarray:
+            known = [(0.0, float(rate[-1]))] if rates is None else list(rates)
+            before = known[-2][1] if len(known) > 1 else 0.0
+            begin, sign = known[-1][0], np.sign(known[-1][1] - before)
+            now = (times > begin) & np.isfinite(p) & np.isfinite(fall)
+            try:
+                first = float((p + sign * fall)[now][0])  # just before the period began
+                found = straight_line(
+                    np.append(begin, times[now]),
+                    np.append(first, p[now]),
+                    known,
+                    Rock(porosity, viscosity, compressibility, well_radius),
+                    plot=plot,
+                    between=between,
+                )
+            except (ValueError, IndexError):
+                return np.full(len(told), np.nan)
+            return np.array([getattr(found, name) for name in told], dtype=float)
+
+        done = self._variable("status") == Status.DONE
+        along = [["elapsed_time"]] * 3
+        numbers = xr.apply_ufunc(
+            of,
+            *(one.sel(well=well).where(done) for one in (pressure, change)),
+            self._variable("well_rate").sel(well=well),
+            self._variable("porosity"),
+            input_core_dims=[*along, []],
+            output_core_dims=[["told"]],
+            vectorize=True,
+        )
+        return xr.Dataset(
+            {
+                name: numbers.isel(told=k).assign_attrs(units=_UNITS.get(name, "Pa"))
+                for k, name in enumerate(told)
+            }
+        )
 
     def permeability(self) -> xr.Dataset:
         """Return principal permeabilities, direction and anisotropy of each case."""

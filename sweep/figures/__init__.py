@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import os
 import re
 import shutil
@@ -37,6 +38,7 @@ from demflow.sweep.figures.wells import draw_well
 from demflow.sweep.store.written import check_folder, replace_files
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
+from demflow.sweep.study.reservoir import Rock
 
 __all__ = ["Figures", "Form", "write_figures"]
 
@@ -164,12 +166,21 @@ def _wells(dataset: xr.Dataset, scene_of: SceneOf, folder: Path) -> list[Path | 
             return None  # what is left out, or failed, may be no scene at all
         return next((well for well in scene_of(index).wells if well.name == name), None)
 
+    def rock_of(index: Index, well: Well) -> Rock | None:
+        scene = scene_of(index)
+        porosity = float(dataset["porosity"].isel(index))
+        viscosity = scene.fluid.viscosity if scene.fluid is not None else math.nan
+        stored = scene.stores(porosity) / porosity
+        return Rock(porosity, viscosity, stored, well.radius)
+
     drawn: list[Path | None] = []
     if "pressure_change" in dataset:
         wells = list(map(str, dataset["well"].values))
         for name, plain in zip(wells, _file_names(wells), strict=True):
             drawn.append(draw_well(dataset, name, well_of, folder / f"well_pressure_{plain}.png"))
-            drawn.append(draw_horner(dataset, name, well_of, folder / f"horner_{plain}.png"))
+            drawn.append(
+                draw_horner(dataset, name, well_of, folder / f"horner_{plain}.png", rock_of)
+            )
     return drawn
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from pathlib import Path
 
@@ -11,9 +12,11 @@ import xarray as xr
 from demflow.model.analytic.wellbore import horner_time
 from demflow.model.outcome import Status
 from demflow.model.scene import Well
-from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display, with_unit
+from demflow.sweep.analysis.straight_lines import StraightLine, straight_line
 from demflow.sweep.figures.style import LINE_STYLES, legend_text, new_figure, pick, save, shades
 from demflow.sweep.figures.wells import WellOf
+from demflow.sweep.study.reservoir import Rock
 
 _MOST = (5, 3)  # values shown by colour and by line style
 
@@ -26,8 +29,16 @@ def production_time(well: Well) -> float | None:
     return None
 
 
-def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Path | None:
+def draw_horner(
+    dataset: xr.Dataset,
+    well: str,
+    well_of: WellOf,
+    path: Path,
+    rock_of: Callable[[Index, Well], Rock | None] = lambda _index, _well: None,
+) -> Path | None:
     """Pressure of a shut well against Horner's time; None where it is not such a test.
+
+    Where radial flow is found, its straight line is drawn on to p*, and k, S and p* are told.
 
     The first two axes that vary are told apart by colour and line style; others stay at their
     first value.
@@ -38,6 +49,7 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
     well : name of the well
     well_of : the well of the case at an index
     path : where the figure is written
+    rock_of : rock and fluid of the case at an index, or None
     """
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     colour, style = ([*varied, None, None])[:2]
@@ -64,10 +76,21 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
             for name, at in ((colour, i), (style, j))
             if name
         )
+        pressure, colour_here = (
+            case["well_pressure"].sel(well=well).values,
+            shades("Blues", len(colours))[c],
+        )
+        line = _line(times, pressure, own, rock_of(index, own))
+        if line is not None:
+            told = f"k {with_unit(line.permeability, 'm2', 3)}, S {line.skin_factor:.2f}"
+            named = f"{named or well}: {told}, p* {with_unit(line.extrapolated, 'Pa')}"
+            ends = horner_time(np.array([line.end, 1e6 * production]), production)
+            reached = line.extrapolated - line.slope * np.log(ends)
+            panel.plot(ends, reached * factor, color="0.4", linewidth=0.8, linestyle="--")
         panel.plot(
             horner_time(since[shut], production),
-            case["well_pressure"].sel(well=well).values[shut] * factor,
-            color=shades("Blues", len(colours))[c],
+            pressure[shut] * factor,
+            color=colour_here,
             linestyle=LINE_STYLES[s],
             linewidth=1.8 + 2.0 * (len(colours) - 1 - c),  # a skin alone leaves no trace: they meet
             label=legend_text(named or well),
@@ -86,6 +109,19 @@ def draw_horner(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> 
     caption = (
         f"Horner plot of well {well}, {drawn} cases. Radial flow in a reservoir whose boundary is "
         "not felt is a straight line of slope q μ / (4π k) per natural-log unit, which reaches "
-        "the initial pressure at 1."
+        "the initial pressure at 1. Dashed: the line of what the derivative shows as radial, with "
+        "what it gives."
     )
     return save(figure, path, caption)
+
+
+def _line(
+    times: np.ndarray, pressure: np.ndarray, well: Well, rock: Rock | None
+) -> StraightLine | None:
+    """The straight line of a build-up, if rock and fluid are known and flow is radial."""
+    if rock is None:
+        return None
+    try:
+        return straight_line(times, pressure, well.rate_changes, rock, plot="horner")
+    except ValueError:
+        return None

@@ -1,0 +1,177 @@
+"""Straight lines through a flow period in radial flow: MDH, Horner and superposition plots.
+
+All three plot the pressure against a sum of logarithms and differ in the rates that the sum knows:
+Miller, Dyes & Hutchinson (1950, Trans. AIME 189, 91–104) only the last change, Horner (1951, Proc.
+3rd World Petroleum Congress, 503–523) one rate before it over the time that gives the volume
+produced, the superposition plot all of them. The slope is |Δq| B μ / (4π k h) per natural-log unit
+of time; the skin follows from the line's height; where the well is shut in, the pressure that the
+line reaches after an infinite time is p*.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from demflow.model.transient import bourdet_derivative, log_time
+from demflow.sweep.analysis.regimes import detect_regimes
+from demflow.sweep.study.reservoir import Rock
+
+PLOTS = ("mdh", "horner", "superposition")
+Rates = Sequence[tuple[float, float]]
+
+
+class StraightLine(NamedTuple):
+    """What the straight line of a flow period says; errors are half widths of 95 % intervals."""
+
+    plot: str
+    slope: float  # Pa per natural-log unit of time
+    slope_error: float
+    height: float  # Pa: the pressure change at x = 0 of the plot
+    permeability: float  # m²
+    permeability_error: float
+    skin_factor: float
+    skin_error: float
+    extrapolated: float  # Pa, p*; NaN of a well that flows, and of the MDH plot
+    start: float  # s since the period began, of the points on the line
+    end: float
+    points: int
+
+
+def straight_line(
+    times: ArrayLike,
+    pressure: ArrayLike,
+    rates: Rates,
+    rock: Rock,
+    *,
+    plot: str = "superposition",
+    between: tuple[float, float] | None = None,
+) -> StraightLine:
+    """Slope, permeability, skin and p* of the last flow period in a record.
+
+    Parameters
+    ----------
+    times : (t,) s since the start, increasing; at or before the last change of the rate at least
+        one, from which the pressure change counts.
+    pressure : (t,) Pa.
+    rates : (time in s, new rate in m³/s) in order; positive produces.
+    rock : viscosity, and for the skin porosity, compressibility and well_radius.
+    plot : mdh, horner or superposition.
+    between : s since the period began; by default the longest radial stretch of the derivative.
+
+    Raises
+    ------
+    ValueError : another plot, no flow period, a Horner plot of a well that is not shut in, no
+        radial flow, or fewer than three points on the line.
+    """
+    if plot not in PLOTS:
+        raise ValueError(f"{plot!r} is none of {', '.join(PLOTS)}")
+    t, p = np.asarray(times, dtype=float), np.asarray(pressure, dtype=float)
+    changes = _changes(rates)
+    begin, last = changes[-1]
+    before = changes[-2][1] if len(changes) > 1 else 0.0
+    step = last - before
+    known = _known_rates(changes, plot)
+    now, earlier = t > begin, np.flatnonzero(t <= begin)
+    if not len(earlier):
+        raise ValueError("the record has no pressure at or before the last change of the rate")
+    change = math.copysign(1.0, step) * (p[earlier[-1]] - p[now])
+    since = t[now] - begin
+    if between is None:
+        between = _radial(t[now], since, change, changes)
+    on_it = (since >= between[0]) & (since <= between[1])
+    if np.count_nonzero(on_it) < 3:
+        raise ValueError(f"only {np.count_nonzero(on_it)} points lie on the line; give more")
+    x = _logarithms(t[now][on_it], known)
+    fit = stats.linregress(x, change[on_it])
+    slope = float(fit.slope)
+    if slope <= 0.0:
+        raise ValueError("the pressure does not follow a logarithm there; look at the derivative")
+    sure = stats.t.ppf(0.975, np.count_nonzero(on_it) - 2)
+    thickness, made = rock.thickness, abs(step) * rock.volume_factor * rock.viscosity
+    permeability = made / (4.0 * math.pi * slope * thickness)
+    diffusivity = permeability / (rock.porosity * rock.viscosity * rock.compressibility)
+    shape = math.log(4.0 * diffusivity / rock.well_radius**2) - np.euler_gamma
+    height = float(fit.intercept)
+    # errors of slope and height hang together: the line is surest in the middle of its points
+    deviation = math.hypot(
+        fit.intercept_stderr / slope, (height / slope - 1.0) * fit.stderr / slope
+    )
+    mixed = -2.0 * x.mean() * fit.stderr**2 * (1.0 - height / slope) / slope**2
+    skin_error = 0.5 * sure * math.sqrt(max(deviation**2 + mixed, 0.0))
+    endless = math.nan
+    if last == 0.0 and plot != "mdh":
+        far = -sum(
+            (new - old) / step * math.log(begin - time)
+            for (time, new), old in zip(known[:-1], [0.0, *(q for _, q in known)], strict=False)
+        )
+        endless = float(p[earlier[-1]]) - math.copysign(1.0, step) * (slope * far + height)
+    return StraightLine(
+        plot=plot,
+        slope=slope,
+        slope_error=float(sure * fit.stderr),
+        height=height,
+        permeability=permeability,
+        permeability_error=float(permeability * sure * fit.stderr / slope),
+        skin_factor=0.5 * (height / slope - shape),
+        skin_error=float(skin_error),
+        extrapolated=endless,
+        start=float(since[on_it][0]),
+        end=float(since[on_it][-1]),
+        points=int(np.count_nonzero(on_it)),
+    )
+
+
+def _changes(rates: Rates) -> list[tuple[float, float]]:
+    """The changes of the rate, without entries that leave it as it is."""
+    found: list[tuple[float, float]] = []
+    for time, rate in rates:
+        if rate != (found[-1][1] if found else 0.0):
+            found.append((float(time), float(rate)))
+    if not found:
+        raise ValueError("the rate never changes, so there is no flow period")
+    return found
+
+
+def _logarithms(times: np.ndarray, known: list[tuple[float, float]]) -> np.ndarray:
+    """Σ (Δqᵢ / Δq_k) of the logarithms of times, as `log_time`, also where the sum falls."""
+    start, rate = np.array(known).T
+    share = np.diff(rate, prepend=0.0) / (rate[-1] - (rate[-2] if len(rate) > 1 else 0.0))
+    since = times[:, None] - start
+    since[:, :-1] /= start[-1] - start[:-1]
+    return np.asarray(np.log(since) @ share)
+
+
+def _known_rates(changes: list[tuple[float, float]], plot: str) -> list[tuple[float, float]]:
+    """The history of the rate as a plot takes it."""
+    begin, last = changes[-1]
+    if plot == "superposition":
+        return changes
+    before = changes[-2][1] if len(changes) > 1 else 0.0
+    if plot == "mdh":
+        return [(begin, last - before)]
+    if last != 0.0 or before == 0.0:
+        raise ValueError("a Horner plot is that of a well that is shut in; take superposition")
+    volume = sum(q * (end - start) for (start, q), (end, _) in itertools.pairwise(changes))
+    if volume / before <= 0.0:
+        raise ValueError("what was produced and injected cancels; take the superposition plot")
+    return [(begin - volume / before, before), (begin, 0.0)]
+
+
+def _radial(
+    times: np.ndarray, since: np.ndarray, change: np.ndarray, changes: list[tuple[float, float]]
+) -> tuple[float, float]:
+    """Begin and end of the longest radial stretch, s since the period began."""
+    x = log_time(times, changes, "superposition")
+    slope = bourdet_derivative(times, change, (changes[-1][0],), x=x)
+    stretches = [one for one in detect_regimes(since, change, slope) if one.name == "radial"]
+    if not stretches:
+        raise ValueError("the derivative shows no radial flow; say where the line is by `between`")
+    longest = max(stretches, key=lambda one: one.end / one.start)
+    return longest.start, longest.end
