@@ -54,7 +54,7 @@ class Took(NamedTuple):
 
 _CHILD = """
 import json, sys, time
-from demflow.sweep.engine import run_study
+from PACKAGE.engine import run_study
 options = json.loads(sys.argv[1])
 begin = time.perf_counter()
 done = run_study(figures=False, **options)
@@ -64,12 +64,18 @@ print(json.dumps([seconds, computed, done.failed]))
 """
 
 
-def timed_run(path: Path, results: Path, **options: Any) -> Took:
-    """Run a study without figures, in processes of its own."""
+def timed_run(path: Path, results: Path, *, root: Path = ROOT, **options: Any) -> Took:
+    """Run a study without figures, in processes of its own, by the build that lies at `root`."""
     given = json.dumps({"path": str(path), "results": str(results), **options})
+    package = "demflow.sweep" if (root / "demflow").exists() else "sweep"
     before = _cpu_of_children()
     done = subprocess.run(
-        [sys.executable, "-c", _CHILD, given], cwd=ROOT, check=True, capture_output=True, text=True
+        [sys.executable, "-c", _CHILD.replace("PACKAGE", package), given],
+        cwd=root,
+        env={**os.environ, "PYTHONPATH": str(root)},
+        check=True,
+        capture_output=True,
+        text=True,
     )
     seconds, computed, failed = json.loads(done.stdout)
     return Took(seconds, _cpu_of_children() - before, computed, failed)
