@@ -31,7 +31,8 @@ def spacing_around(network: Network, at: tuple[float, float], radius: float) -> 
     """
     distance = np.hypot(network.x - at[0], network.y - at[1])
     distance = np.where(network.inside, np.abs(distance - radius), np.inf)
-    near = np.argsort(distance, kind="stable")[:NEAREST]
+    near = np.argpartition(distance, min(NEAREST, len(distance)) - 1)[:NEAREST]
+    near = near[np.argsort(distance[near], kind="stable")]
     return float(np.sqrt(network.area[near[network.inside[near]]].mean()))
 
 

@@ -66,6 +66,8 @@ def between_pores(
     """
     points = np.asarray(points, dtype=float).reshape(-1, 2)
     own = domains_at(network, points)
+    if not len(points):
+        return at_pores(own)
     pore = np.zeros(len(network.x), dtype=bool)
     pore[system.domain[system.domain < len(pore)]] = True
     walls = np.bincount(
@@ -102,8 +104,6 @@ def between_pores(
         whose = np.full(np.count_nonzero(used), number)
         near, part = near[used], part[used]
         parts.append((whose, domain[near], source[near], part, part @ place[near]))
-    if not parts:
-        return at_pores(own)
     columns = list(zip(*parts, strict=True))
     probe, domain, source, part = (np.concatenate(column) for column in columns[:4])
     return Probes(len(points), probe, domain, source, part, np.array(columns[4]), own)

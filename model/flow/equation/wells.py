@@ -49,6 +49,9 @@ GOOD_FIT = 0.05
 # Bounds of the common factor, and of the conductance between two wells over 2π k/μ.
 FACTORS = (1e-3, 1e3)
 
+# Steps to the factor of one well, and the change of its logarithm that is none.
+MOST_STEPS, ROOT_WITHIN = 50, 1e-10
+
 
 class Edges(NamedTuple):
     """Conductances between terminals: the pores, then the wells, then the sides that keep one."""
@@ -134,12 +137,11 @@ def join_wells(edges: Edges, network: Network, wells: Wells) -> Edges:
     ]
     rock, touching = edges.only(edges.pipe < 0), touching.only(touching.pipe < 0)
     for group in _groups(touching, wells, d):
-        pores = np.concatenate([wells.taken[k] for k in group.members])
-        from_it = touching.only(np.isin(touching.a, pores))
-        meets_rock = not np.isin(from_it.b, pores).all()
+        ours = np.isin(owner, group.members)
+        from_it = touching.only(ours[touching.a])
+        meets_rock = not ours[from_it.b].all()
         if meets_rock and all(wells.fields[k] is not None for k in group.members):
-            near = rock.only(~np.isin(rock.a, pores) & ~np.isin(rock.b, pores))
-            parts.append(_calibrated(near, from_it, network, wells, group))
+            parts.append(_calibrated(rock, from_it, network, wells, group))
     return Edges(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
 
 
@@ -161,6 +163,8 @@ class Group(NamedTuple):
 def _groups(touching: Edges, wells: Wells, pores: int) -> list[Group]:
     """The groups of wells; each well is in one, most often alone."""
     count = len(wells.sites)
+    if count == 1:
+        return [Group([0], np.empty((0, 2), dtype=np.int64))]
     well = np.repeat(np.arange(count), [len(taken) for taken in wells.taken])
     own = coo_array((np.ones(len(well)), (well, np.concatenate(wells.taken))), (count, pores))
     to_pore = touching.only(touching.b < pores)
@@ -195,7 +199,7 @@ def _along_fractures(leaving: Edges, network: Network, wells: Wells, owner: np.n
     return leaving._replace(a=d + well, b=np.where(other < 0, leaving.b, d + other), g=g)
 
 
-def _calibrated(rest: Edges, from_it: Edges, network: Network, wells: Wells, group: Group) -> Edges:
+def _calibrated(rock: Edges, from_it: Edges, network: Network, wells: Wells, group: Group) -> Edges:
     """What joins a group of wells to the rock around, and to one another."""
     members, pairs = group
     fields = [field for k in members if (field := wells.fields[k]) is not None]
@@ -206,7 +210,7 @@ def _calibrated(rest: Edges, from_it: Edges, network: Network, wells: Wells, gro
     best = np.inf
     for strength in TILTS:
         tried = [_star(from_it, network, wells, k, pores, unit, strength) for k in members]
-        around = _surroundings(rest, tried, network, wells, members, unit)
+        around = _surroundings(rock, tried, network, wells, members, unit)
         found, off = _fitted(around, tried, pairs, want)
         if off < best:
             best, stars, factors = off, tried, found
@@ -237,6 +241,8 @@ def _fitted(
     around: Surroundings, stars: list[Star], pairs: np.ndarray, want: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """Factors of stars, then of links, that bring the pressures (w, w) closest, and how close."""
+    if len(stars) == 1:
+        return _fitted_alone(around, stars, pairs, want)
     one, other = pairs.T
     diagonal = np.arange(len(stars))
 
@@ -252,6 +258,25 @@ def _fitted(
     start = np.zeros(len(stars) + len(pairs))
     found = least_squares(misfit, start, slope, bounds=tuple(np.log(FACTORS)))
     return np.exp(found.x), float(np.abs(found.fun).max())
+
+
+def _fitted_alone(
+    around: Surroundings, stars: list[Star], pairs: np.ndarray, want: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The same of one well, whose pressure rises with its factor: a root between the bounds."""
+    low, high = np.log(FACTORS)
+    at, off = 0.0, np.inf
+    for _ in range(MOST_STEPS):
+        found = _answer(around, stars, pairs, np.exp([at]))
+        off = float(found.pressure[0, 0] - want[0, 0])
+        low, high = (at, high) if off < 0.0 else (low, at)
+        slope = float(_slope_of(found, around, 0)[0, 0])
+        step = at - off / slope if slope > 0.0 else np.nan
+        after = step if low < step < high else 0.5 * (low + high)
+        if abs(after - at) <= ROOT_WITHIN:
+            break
+        at = after
+    return np.exp([at]), abs(off)
 
 
 def _star(
@@ -315,7 +340,7 @@ class Surroundings(NamedTuple):
 
 
 def _surroundings(
-    rest: Edges,
+    rock: Edges,
     stars: list[Star],
     network: Network,
     wells: Wells,
@@ -327,7 +352,7 @@ def _surroundings(
     fields = [field for k in group if (field := wells.fields[k]) is not None]
     place = np.column_stack([network.x, network.y])
     node = np.full(
-        max(d, int(rest.b.max(initial=0)) + 1, *(1 + s.to.max(initial=0) for s in stars)), -1
+        max(d, int(rock.b.max(initial=0)) + 1, *(1 + s.to.max(initial=0) for s in stars)), -1
     )
     near = np.zeros(d, dtype=bool)
     for field in fields:
@@ -339,17 +364,17 @@ def _surroundings(
     near &= network.inside
     local = np.flatnonzero(near)
     node[local] = np.arange(len(local))
+    taken = np.zeros(len(node), dtype=bool)
+    taken[np.concatenate([wells.taken[k] for k in group])] = True
+    felt = (node[rock.a] >= 0) | (node[rock.b] >= 0)
+    rest = rock.only(felt & ~taken[rock.a] & ~taken[rock.b])
 
     a, b = node[rest.a], node[rest.b]
     within, out, back = (a >= 0) & (b >= 0), (a >= 0) & (b < 0), (a < 0) & (b >= 0)
     ends = np.concatenate([a[out], b[back]])
     end_g = np.concatenate([rest.g[out], rest.g[back]]) / unit
-    end_u = np.concatenate(
-        [
-            np.column_stack([f.at_points(places) for f in fields])
-            for places in (rest.end[out], place[rest.a[back]])
-        ]
-    )
+    end_place = np.concatenate([rest.end[out], place[rest.a[back]]])
+    end_u = np.column_stack([f.at_points(end_place) for f in fields])
     i, j, g = a[within], b[within], rest.g[within] / unit
     held = reached(len(local), i, j, ends[end_g > 0.0])
     excess = np.bincount(ends, weights=end_g, minlength=len(local)) + ~held
@@ -424,11 +449,17 @@ def _slopes(
     w = len(stars)
     change = np.empty((len(factors), w, w))
     for k in range(w):
-        change[k] = (found.by_pore[:, around.number[k]] - found.by_well[:, [k]]) @ found.flow[k]
+        change[k] = _slope_of(found, around, k)
     for at, ((k, m), link) in enumerate(zip(pairs, factors[w:], strict=True), start=w):
         flow = link * (found.pressure[k] - found.pressure[m])
         change[at] = np.outer(found.by_well[:, m] - found.by_well[:, k], flow)
     return change
+
+
+def _slope_of(found: Answer, around: Surroundings, k: int) -> np.ndarray:
+    """Changes of pressures (w, w) by the logarithm of the factor of one star."""
+    change = (found.by_pore[:, around.number[k]] - found.by_well[:, [k]]) @ found.flow[k]
+    return np.asarray(change)
 
 
 def with_skin(

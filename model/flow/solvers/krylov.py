@@ -217,6 +217,8 @@ class Growth:
         self._coefficients: dict[int, np.ndarray] = {}
         self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._outputs: dict[int, np.ndarray] = {}
+        self._scales: dict[int, np.ndarray] = {}
+        self._changes: dict[tuple[str, int, int], float] = {}
 
     def to_tolerance(self, poles: Poles) -> float:
         """Grow the space to the tolerance; the estimated error. Raises `ModelError`.
@@ -270,8 +272,8 @@ class Growth:
         cheap = self.space.noise() <= TUNED.noise_share * self.problem.tolerance
         if not cheap:
             self.space.measure()
-            self._outputs.clear()
-            self._coefficients.clear()
+            for known in (self._outputs, self._coefficients, self._scales, self._changes):
+                known.clear()
         error, rate = self._extrapolate(self._output_change)
         if self.far:
             error, rate = max((error, rate), self._extrapolate(self._field_change))
@@ -291,14 +293,22 @@ class Growth:
         for width in TUNED.widths:
             if size <= (width if width <= TUNED.poles else 2 * width):
                 continue
-            now = change(size, size - width)
-            before = change(size - width, size - 2 * width) if size > 2 * width else 1.0
+            now = self._once(change, size, size - width)
+            half = size - width
+            before = self._once(change, half, half - width) if size > 2 * width else 1.0
             seen = self._reductions.setdefault((change.__name__, width), {})
             seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
             reduction = max(r for when, r in seen.items() if when > size - TUNED.late)
             worst = max(worst, TUNED.caution * now * reduction)
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
+
+    def _once(self, change: Callable[[int, int], float], size: int, before: int) -> float:
+        """A change between two sizes, which several estimates ask for."""
+        key = (change.__name__, size, before)
+        if key not in self._changes:
+            self._changes[key] = change(size, before)
+        return self._changes[key]
 
     def _known(self, size: int) -> np.ndarray:
         """Coefficients (l, k) of the pressure in the space's first vectors."""
@@ -320,7 +330,9 @@ class Growth:
         """Largest relative change of an output between two sizes."""
         now = self._seen(size)
         change = np.abs(now - self._seen(before))
-        scale = self.problem.scale(self.source, now)
+        if size not in self._scales:
+            self._scales[size] = self.problem.scale(self.source, now)
+        scale = self._scales[size]
         counts = scale > 0.0
         return float(np.max(change[counts] / scale[counts], initial=0.0))
 
