@@ -103,7 +103,9 @@ def bound_problem(
     if isinstance(value, tuple):
         problems = (bound_problem(declared, part, show) for part in value)
         return next((what for what in problems if what is not None), None)
-    if isinstance(value, bool | str) or not isinstance(value, Real):
+    if not isinstance(value, float | int) and not isinstance(value, Real):
+        return None  # the first of the two is quick
+    if isinstance(value, bool):
         return None
     if not math.isfinite(value):
         return f"{value} is not a finite number"

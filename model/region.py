@@ -7,6 +7,7 @@ radians, arrays of points as (n, 2).
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -356,6 +357,7 @@ def narrowest(region: Polygon) -> tuple[float, int, int]:
     return found
 
 
+@functools.lru_cache(maxsize=64)
 def tightest(region: Pierced) -> tuple[float, str, str]:
     """Least distance (m) between the rim of a hole and another, the hole, and whose rim that is.
 

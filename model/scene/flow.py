@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import math
 from dataclasses import dataclass, replace
@@ -375,9 +376,7 @@ def well_problems(wells: tuple[Well, ...], region: Region) -> Problems:
         return
     at = np.array([well.at for well in wells])
     radius = np.array([well.effective_radius for well in wells])
-    inside = contains(region, at)
-    room = np.full(len(wells), np.inf)
-    room[inside] = distance_to_rim(region, at[inside])
+    inside, room = _room(tuple(well.at for well in wells), region)
     for k in np.flatnonzero(~inside | (room < radius)):
         well, path = wells[k], f"wells.{wells[k].name}"
         if not inside[k]:
@@ -388,11 +387,23 @@ def well_problems(wells: tuple[Well, ...], region: Region) -> Problems:
         if stimulated:
             what = f"with the radius r_w e^(−S) = {radius[k]:.3g} m {what}"
         yield f"{path}.{'skin_factor' if stimulated else 'radius'}", what
+    if len(wells) == 1:
+        return
     i, j = box_pairs(at - radius[:, None], at + radius[:, None])
     near = np.hypot(*(at[i] - at[j]).T) < radius[i] + radius[j]
     later, which = np.unique(j[near], return_index=True)  # each well, and one that it overlaps
     for k, other in zip(later, i[near][which], strict=True):
         yield f"wells.{wells[k].name}.at", f"the well overlaps {wells[other].name}"
+
+
+@functools.lru_cache(maxsize=64)  # the cases of a study mostly differ in something else
+def _room(at: tuple[tuple[float, float], ...], region: Region) -> tuple[np.ndarray, np.ndarray]:
+    """Whether each point lies in the region, and how far from its rim, m; infinite outside."""
+    points = np.array(at)
+    inside = contains(region, points)
+    room = np.full(len(at), np.inf)
+    room[inside] = distance_to_rim(region, points[inside])
+    return inside, room
 
 
 def probe_problems(probes: tuple[Probe, ...], region: Region) -> Problems:

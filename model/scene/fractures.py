@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, fields
 
@@ -359,13 +360,19 @@ def _placement_problems(fracture: Fracture, region: Region) -> Problems:
         yield from _drawing_problems(fracture, region)
     elif isinstance(fracture, TraceMap):
         yield from _map_problems(fracture, region)
-    elif len(clip_segments(region, fracture.points[:-1], fracture.points[1:])[0]) == 0:
+    elif not _meets(fracture.points, region):
         key = "vertices"
         if isinstance(fracture, BiWing):
             key = "at"
         elif fracture.vertices is None:
             key = "from"
         yield key, "the fracture lies outside the region, or along its rim"
+
+
+@functools.lru_cache(maxsize=256)  # the cases of a study mostly differ in something else
+def _meets(points: tuple[tuple[float, float], ...], region: Region) -> bool:
+    """Whether a polyline has a part within the region."""
+    return len(clip_segments(region, points[:-1], points[1:])[0]) > 0
 
 
 def _drawing_problems(fracture: RandomSet, region: Region) -> Problems:

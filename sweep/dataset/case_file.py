@@ -48,7 +48,9 @@ def write_case(case: xr.Dataset, path: str | Path) -> list[Path]:
     if path.suffix == ".nc":
         aside = path.with_name(f"{path.name}.partial")
         try:
-            in_file_form(case).to_netcdf(aside, engine="netcdf4")
+            form = in_file_form(case)
+            records = ["time"] if "time" in form.dims else []
+            form.to_netcdf(aside, engine="netcdf4", unlimited_dims=records)
             write_all_durably({path: aside.read_bytes()})
         finally:
             aside.unlink(missing_ok=True)
@@ -93,7 +95,17 @@ def _vtu(case: xr.Dataset) -> bytes:
     """One time of a case as an unstructured grid of polygons."""
     faces = np.asarray(case["mesh_face_nodes"].values)
     nodes = np.stack([case["mesh_node_x"].values, case["mesh_node_y"].values], axis=1)
-    return polygons_vtu(nodes, faces, _fields(case, "domain"))
+    area = {"area (m2)": _areas(nodes, faces)}  # programs take pores for convex to find it
+    return polygons_vtu(nodes, faces, {**_fields(case, "domain"), **area})
+
+
+def _areas(nodes: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area of each polygon, (polygons,) m²; corners in order, −1 where there is none."""
+    corners = np.where((faces >= 0)[..., None], nodes[faces], nodes[faces[:, :1]])
+    x, y = np.moveaxis(corners - corners[:, :1], 2, 0)
+    after = np.roll(x, -1, axis=1), np.roll(y, -1, axis=1)
+    area: np.ndarray = 0.5 * np.abs((x * after[1] - after[0] * y).sum(axis=1))
+    return area
 
 
 def _fields(case: xr.Dataset, dimension: str) -> Mapping[str, Any]:

@@ -277,7 +277,7 @@ def _mesh(maps: dict[str, np.ndarray]) -> dict[str, Any]:
     faces = {
         "cf_role": "face_node_connectivity",
         "long_name": "corners of the domains",
-        "start_index": 0,
+        "start_index": np.int32(0),  # of the type of the indices
         "_FillValue": np.int32(-1),
     }
     node = {"units": "m"}

@@ -65,7 +65,7 @@ __all__ = ["MAX_CASES", "Axis", "Figures", "Limits", "Problem", "Study", "StudyE
 DAY = 86400.0  # s
 MOST_COMBINATIONS = 2_000  # checked one by one before anything runs
 NAMED = ("wells", "fractures", "probes")
-MANY_NAMES = 10  # of them, from which on fewer combinations are checked
+MANY_NAMES = 5  # of them, from which on fewer combinations are checked
 KEYS = (
     *("study", "title", "scene", "vary", "observe", "solver"),
     *("sample", "where", "limits", "figures", "report", "expect", "smoke"),
@@ -514,11 +514,11 @@ def _indices(
     """The first of all, each value of each axis alone, then combinations while they are few.
 
     All combinations up to the most; else those of two axes, if these are few enough. Of an axis
-    longer than that, values are taken at even distances and at its end.
+    longer than half of that, values are taken at even distances and at its end.
     """
     yield origin
     for number, length in enumerate(shape):
-        stride = -(-length // max(most, 2))
+        stride = -(-length // max(most // 2, 2))
         for k in sorted({*range(0, length, stride), length - 1} - {origin[number]}):
             yield (*origin[:number], k, *origin[number + 1 :])
     if not combine:

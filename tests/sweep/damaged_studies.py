@@ -82,7 +82,7 @@ vary:
   mode: {parameter: fluid.viscosity, distribution: {triangular: [0.5 cP, 1 cP, 3 cP]}}
   yy: {parameter: stress.yy, values: [5 MPa, 10 MPa]}
   xx: {parameter: stress.xx, file: points.csv}
-sample: {count: 16, method: latin_hypercube, seed: 3}
+sample: {count: 6, method: latin_hypercube, seed: 3}
 where: [xx >= yy, yy < 2 * xx or yy != 5 MPa]
 observe: [well_pressure, probe_pressure, pressure_map, boundary_flow]
 solver: {method: krylov, tolerance: 1e-3}
@@ -93,7 +93,7 @@ expect: {status: done}
 data:
   test: {file: gauge.csv, time: "t [h]", pressure: "p [psi]", well: producer, outliers: keep,
          rates: [[0 s, 1e-6 m3/s], [2 h, 0 m3/s]]}
-smoke: {grains.count: 100, sample.count: 8, vary.yy: [5 MPa]}
+smoke: {grains.count: 100, sample.count: 4, vary.yy: [5 MPa]}
 """
 # one with a fit of its own scene, and one whose grains and fluid move together
 FITTED = (
@@ -128,6 +128,7 @@ FILES = {
     "none.geojson": b'{"type": "LineString", "coordinates": [[0, 0], [3, 1], [5, -2]]}',
 }
 STUDIES = Path(__file__).parents[2] / "studies"
+OTHER_KEYS = STUDIES.parent / "docs" / "more_keys.yaml"  # what no shipped study has
 PLAIN = re.compile(r"[A-Za-z0-9.+][A-Za-z0-9 ./^+-]*")
 
 NUMBERS = [
@@ -162,7 +163,7 @@ EXAMPLES = (EXAMPLE, SMALL, RANDOM, DRAWN, DRAWN, DRAWN, FITTED, MODELLED)
 
 def studies() -> list[Any]:
     """Trees of good studies: what is shipped, and the examples."""
-    texts = [path.read_text() for path in sorted(STUDIES.glob("*.yaml"))]
+    texts = [path.read_text() for path in (*sorted(STUDIES.glob("*.yaml")), OTHER_KEYS)]
     # every scalar as text
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)
     return [yaml.load(text, Loader=loader) for text in (*texts, *EXAMPLES)]
@@ -297,6 +298,20 @@ def _another_number(tree: Any, chance: random.Random) -> None:
         else:
             unit = chance.choice(UNIT_TEXTS)
         inside[key] = f"{number} {unit}".strip()
+
+
+def _nudged(tree: Any, chance: random.Random) -> None:
+    """One number as somebody might have meant it: such studies often stay valid."""
+    spots = [*numbers_of(tree)]
+    if spots:
+        inside, key = chance.choice(spots)
+        number, _, unit = inside[key].partition(" ")
+        try:
+            value = chance.choice((-1.0, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1000.0)) * float(number)
+        except ValueError:
+            return
+        whole = number.isdigit() and chance.random() < 0.9
+        inside[key] = f"{round(value) if whole else f'{value:.6g}'} {unit}".strip()
 
 
 def _without(tree: Any, chance: random.Random) -> None:
@@ -504,6 +519,7 @@ def _where(tree: Any, chance: random.Random) -> None:
 
 
 DAMAGES = (
+    *[_nudged] * 6,
     *(_law, _law, _own_blocks, _own_blocks, _fitted, _where),
     *(_another_value, _another_number, _another_number, _without, _without, _misspelt, _exchanged),
     *(_nested, _many, _axis, _axis, _axis, _variants, _variants, _smoke, _block, _block),

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import netCDF4
 import numpy as np
 import pytest
+import shapely
 import xarray as xr
 
 from demflow import sweep
@@ -76,7 +77,9 @@ def test_the_file_steps_through_time_by_the_names_that_programs_know(case, tmp_p
         assert file["pressure"].dimensions == ("time", "domain")
         assert file["time"].units.startswith("seconds since ")
         assert (file["time"].standard_name, file["time"].axis) == ("time", "T")
+        assert file.dimensions["time"].isunlimited()  # as CF's checker looks for before others
         assert file["mesh_face_nodes"].dtype == np.int32
+        assert file["mesh_face_nodes"].start_index.dtype == np.int32  # UGRID: that of the indices
         assert file["mesh_face_nodes"]._FillValue == -1
         assert not any(v.dtype == np.int64 for v in file.variables.values())
         np.testing.assert_array_equal(file["elapsed_time"][:], [1.0, 10.0, 100.0])
@@ -140,6 +143,12 @@ def test_paraview_gets_true_polygons_a_time_each(case, tmp_path):
         faces = case.mesh_face_nodes.values
         np.testing.assert_array_equal(corners, (faces >= 0).sum(axis=1))
         assert corners.max() > 4
+        # the pores tile the circle, up to what grains in its rim cut off
+        nodes = np.stack([case.mesh_node_x.values, case.mesh_node_y.values], axis=1)
+        areas = [
+            shapely.Polygon(nodes[face[face >= 0]]).area for face in case.mesh_face_nodes.values
+        ]
+        np.testing.assert_allclose(arrays["area (m2)"], areas, rtol=1e-12)
         np.testing.assert_array_equal(arrays["connectivity"], faces[faces >= 0])
     (last,) = sweep.write_case(case, tmp_path / "last.vtu")
     assert last.read_bytes() == frames[-1].read_bytes()

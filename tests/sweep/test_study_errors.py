@@ -194,8 +194,8 @@ def test_a_combination_that_cannot_be_is_found(tmp_path):
 def test_a_pair_is_found_among_more_combinations_than_are_tried(tmp_path):
     axes = "vary:\n  w: {parameter: region.width, values: [14 m, 10 m]}\n"
     axes += "  x: {parameter: wells.producer.at, values: [[0, 0], [6 m, 0]]}\n"
-    axes += "  q: {parameter: wells.producer.rate, from: 1, to: 40, count: 40}\n"
-    axes += "  f: {parameter: grains.friction, from: 1, to: 40, count: 40}\n"
+    axes += "  q: {parameter: wells.producer.rate, from: 1, to: 25, count: 25}\n"
+    axes += "  f: {parameter: grains.friction, from: 1, to: 25, count: 25}\n"
     text = SMALL[: SMALL.index("vary:")] + axes + SMALL[SMALL.index("observe:") :]
     (found,) = problems(tmp_path, text)
     assert "(where w = 10 m and x = [6 m, 0 m])" in found
