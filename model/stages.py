@@ -465,7 +465,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=19,
+        version=20,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows and not s.coupled,
@@ -477,7 +477,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=14,
+        version=15,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,
@@ -495,7 +495,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="consolidate",
         function="demflow.model.coupling.consolidation:consolidate",
-        version=2,
+        version=3,
         parents=("pack", "network", "open"),
         reads={
             "region": lambda s: s.region,
@@ -524,7 +524,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="follow",
         function="demflow.model.coupling.following:follow",
-        version=2,
+        version=3,
         parents=("pack", "network", "walk", "stress", "calibrate"),
         reads={
             "region": lambda s: s.region,
@@ -593,7 +593,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="emulator",
         function="demflow.model.emulation:emulator",
-        version=2,
+        version=3,
         parents=("network", "walk", "stress", "calibrate"),
         reads=_FAMILY_READS,
         wanted=_never,
@@ -605,7 +605,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="emulate",
         function="demflow.model.emulation:emulate",
-        version=2,
+        version=3,
         parents=("pack", "stress", "network", "walk", "calibrate", "emulator"),
         reads={**_FAMILY_READS, "wanted": lambda s: s.observe},
         wanted=_never,

@@ -67,3 +67,16 @@ def test_a_probe_inside_a_well_has_its_pressure():
     points = [(0.1, 0.0), (0.25, 0.05), (0.1, -0.2)]
     seen = rock.observed(well, ACROSS, method="steady", probes=probes_at(points))
     np.testing.assert_allclose(seen["probe_pressure"], 3.0, rtol=1e-12)
+
+
+def test_a_probe_has_the_pressure_of_its_side_of_a_barrier_whatever_its_pore_s_centroid():
+    """Two plateaux up to a slanted wall: points a tenth of a pore from it."""
+    wall = Trace(
+        name="wall", thickness=1e-3, permeability=1e-22, start=(-0.3, -1.0), end=(0.3, 1.0)
+    )
+    rock = reservoir(PACKINGS["random"], BOX, 1e-5, (wall,))
+    at = np.linspace(-0.6, 0.6, 60)
+    off = np.where(np.arange(60) % 2 == 0, -0.005, 0.005)
+    points = np.column_stack([0.3 * at + off, at])
+    seen = rock.observed((), ACROSS, method="steady", probes=probes_at(points))
+    np.testing.assert_allclose(seen["probe_pressure"], -np.sign(off), atol=1e-3)

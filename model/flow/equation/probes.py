@@ -54,7 +54,8 @@ def between_pores(
     A pressure linear in space is met exactly wherever the pore in which a point lies and those
     within two pipes of it surround the point; else, as beside a sealed side, at the place nearest
     to it that they surround. Parts are positive, so that no pressure is exceeded, and nearest
-    pores have most. Pores behind a barrier do not count. Inside a well it is the well's pressure.
+    pores have most. Pores behind a barrier do not count, nor the one in which a point lies where
+    its centroid is across a barrier. Inside a well it is the well's pressure.
 
     Parameters
     ----------
@@ -94,11 +95,18 @@ def between_pores(
     domain = np.concatenate([np.arange(d), np.full(len(rim), -1)])
     source = np.concatenate([np.full(d, -1), side[held]])
 
+    walls_start, walls_end = _barriers(apertures)
     parts = []
     for number, (point, i) in enumerate(zip(points, own, strict=True)):
         first = beside.of(i)
         around = [beside.of(k) for k in first[first < d]]
         near = np.unique(np.concatenate([[i], first, *around])).astype(np.int64)
+        if _hidden(point, place[near], walls_start, walls_end).any():
+            first = beside.all_of(i)
+            around = [beside.all_of(k) for k in first[first < d]]
+            wide = np.unique(np.concatenate([[i], first, *around])).astype(np.int64)
+            seen = wide[~_hidden(point, place[wide], walls_start, walls_end)]
+            near = seen if len(seen) else near
         part = _parts(place[near], point)
         used = part > 0.0
         whose = np.full(np.count_nonzero(used), number)
@@ -119,11 +127,40 @@ class _Beside:
         self._end, self._conductance = end[order], conductance[order]
         self._first = np.searchsorted(start[order], np.arange(count + 1))
 
+    def all_of(self, pore: int) -> np.ndarray:
+        """The same whatever is between."""
+        return self._end[self._first[pore] : self._first[pore + 1]]
+
     def of(self, pore: int) -> np.ndarray:
         """Numbers of pores, and from `count` on of places on the rim."""
         ours = slice(self._first[pore], self._first[pore + 1])
         g = self._conductance[ours]
         return self._end[ours][g >= BEHIND * np.median(g)] if len(g) else self._end[ours]
+
+
+def _barriers(apertures: Apertures) -> tuple[np.ndarray, np.ndarray]:
+    """Ends (b, 2), (b, 2) m of the lines that neither have nodes nor run along pipes."""
+    wall = np.ones(len(apertures.trace_start), dtype=bool)
+    wall[apertures.branch_line] = False
+    wall[apertures.on_fracture[apertures.on_fracture >= 0]] = False
+    return apertures.trace_start[wall], apertures.trace_end[wall]
+
+
+def _hidden(
+    point: np.ndarray, places: np.ndarray, start: np.ndarray, end: np.ndarray
+) -> np.ndarray:
+    """Which of places (n, 2) a line hides from a point, (n,) bool."""
+
+    def side(p: np.ndarray, q: np.ndarray, r: np.ndarray) -> np.ndarray:
+        one, other = q - p, r - p
+        found: np.ndarray = one[..., 0] * other[..., 1] > one[..., 1] * other[..., 0]
+        return found
+
+    to = places[:, None]
+    apart = side(start, end, point) != side(start, end, to)
+    across = side(point, to, start) != side(point, to, end)
+    found: np.ndarray = (apart & across).any(axis=1)
+    return found
 
 
 def _parts(places: np.ndarray, point: np.ndarray) -> np.ndarray:
