@@ -390,13 +390,14 @@ def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finish
         there = tuple(path for path in ours(folder / FIGURES) if path.suffix == ".png")
         return replace(finished, figures=there, report=report)
     from demflow.sweep.dataset.open import open_results
-    from demflow.sweep.figures import write_figures
+    from demflow.sweep.figures import maps_reader, write_figures
     from demflow.sweep.report import write_report
 
     with naming(folder):
         dataset = open_results(folder)
-        figures = write_figures(dataset, folder, prepared.study)
-        report = write_report(dataset, folder, prepared.study, figures.paths)
+        maps_of = maps_reader(dataset, folder)
+        figures = write_figures(dataset, folder, prepared.study, maps_of=maps_of)
+        report = write_report(dataset, folder, prepared.study, figures.paths, maps_of)
     return replace(
         finished, figures=tuple(figures.paths), report=report, drawing=tuple(figures.messages)
     )

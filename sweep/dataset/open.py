@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -163,14 +164,23 @@ def _study(folder: Path) -> Study:
     if not (folder / STUDY_FILE).is_file():
         raise ResultsError(f"{folder} holds no results: there is no {STUDY_FILE} in it")
     try:
-        return load_study(folder / STUDY_FILE, smoke=_smoke(folder))
+        changed = (folder / STUDY_FILE).stat().st_mtime_ns
+        return _loaded(folder / STUDY_FILE, _smoke(folder), changed)
     except StudyError as error:
         raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
 
 
+@lru_cache(maxsize=4)
+def _loaded(path: Path, smoke: bool, changed: int) -> Study:  # noqa: ARG001 -- a part of the key
+    """A study, read once as long as its file does not change."""
+    return load_study(path, smoke=smoke)
+
+
 def _smoke(folder: Path) -> bool:
-    with _opened(folder / DATASET_FILE) as dataset:
-        return dataset.attrs.get("study_smoke") == "yes"
+    path = folder / DATASET_FILE
+    if not path.is_file():
+        raise ResultsError(f"{path} does not exist; `demflow run` writes it")
+    return attribute(path, "study_smoke") == "yes"
 
 
 def _index(study: Study, at: Mapping[str, Any]) -> tuple[int, ...]:

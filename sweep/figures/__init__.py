@@ -8,6 +8,7 @@ import os
 import re
 import shutil
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,7 +29,7 @@ from demflow.sweep.figures.events import draw_events
 from demflow.sweep.figures.failure import draw_failure
 from demflow.sweep.figures.holes import draw_forces, draw_inflow
 from demflow.sweep.figures.horner import draw_horner
-from demflow.sweep.figures.maps import draw_maps
+from demflow.sweep.figures.maps import PANELS, draw_maps
 from demflow.sweep.figures.permeability import draw_permeability
 from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
@@ -40,7 +41,7 @@ from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
 from demflow.sweep.study.reservoir import Rock
 
-__all__ = ["Figures", "Form", "write_figures"]
+__all__ = ["Figures", "Form", "maps_reader", "write_figures"]
 
 MOST_MAPS = 4  # cases whose maps are drawn
 LONGEST_NAME = 80  # letters of a well in the name of a file
@@ -53,8 +54,29 @@ class Figures(NamedTuple):
     messages: list[str]  # what could not be drawn, and what of the user's was renamed
 
 
+def maps_reader(dataset: xr.Dataset, results_dir: Path) -> MapsOf:
+    """What reads the maps of a case, and keeps those that figures and report both show.
+
+    Parameters
+    ----------
+    dataset : the study's dataset.
+    results_dir : the study's folder, where the maps of its cases are found.
+    """
+
+    @lru_cache(maxsize=MOST_MAPS)
+    def maps_at(position: tuple[tuple[str, int], ...]) -> xr.Dataset:
+        values = {axis: dataset[axis].values[at].item() for axis, at in position}
+        return open_case(results_dir, **values)
+
+    return lambda index: maps_at(tuple(index.items()))
+
+
 def write_figures(
-    dataset: xr.Dataset, results_dir: Path, study: Study, form: Form = FOR_REPORT
+    dataset: xr.Dataset,
+    results_dir: Path,
+    study: Study,
+    form: Form = FOR_REPORT,
+    maps_of: MapsOf | None = None,
 ) -> Figures:
     """Draw a study's figures into `results_dir/figures`, and tables of comparisons beside them.
 
@@ -65,6 +87,7 @@ def write_figures(
     study : for the scenes of its cases and its `figures` block.
     form : what they are made for; other forms than the report's PNG go into a folder of their own
         in `figures/`, such as `figures/pdf-column/`.
+    maps_of : reads the maps of a case, where others read them too.
 
     Returns
     -------
@@ -86,7 +109,8 @@ def write_figures(
     try:
         aside.mkdir(parents=True)
         messages: list[str] = []
-        drawn = _draw(dataset, Path(results_dir), study, aside, messages, form)
+        maps_of = maps_of or maps_reader(dataset, Path(results_dir))
+        drawn = _draw(dataset, maps_of, study, aside, messages, form)
         tables = sorted(aside.glob("*.csv"))
         messages += replace_files(folder, {path.name: path for path in [*drawn, *tables]})
     finally:
@@ -96,7 +120,7 @@ def write_figures(
 
 def _draw(
     dataset: xr.Dataset,
-    results_dir: Path,
+    maps_of: MapsOf,
     study: Study,
     folder: Path,
     messages: list[str],
@@ -108,10 +132,6 @@ def _draw(
 
     def scene_of(index: Index) -> Scene:
         return case_at(study, [index[axis.name] for axis in study.axes]).scene
-
-    def maps_of(index: Index) -> xr.Dataset:
-        values = {axis: dataset[axis].values[at].item() for axis, at in index.items()}
-        return open_case(results_dir, **values)
 
     roles = roles_of(study)
     with house_style(form):
@@ -125,12 +145,14 @@ def _draw(
                 messages.append(f"no comparison was drawn: {error}")
         drawn += _wells(dataset, scene_of, folder)
         drawn.append(draw_events(dataset, folder / "events.png"))
-        for k, index in enumerate(representative_cases(dataset)):
+        corners = representative_cases(dataset)
+        most = PANELS if len(corners) == 1 else PANELS // 2
+        for k, index in enumerate(corners):
             if "pressure_map" in scene_of(index).observe:
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()
                 path = folder / f"pressure_map_{k}.png"
                 maps, scene = maps_of(index), scene_of(index)
-                drawn.append(draw_maps(maps, scene, title, path, study.figures.maps))
+                drawn.append(draw_maps(maps, scene, title, path, study.figures.maps, most))
         drawn += _holes(dataset, study, scene_of, maps_of, folder)
         seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
         if "permeability" in dataset:

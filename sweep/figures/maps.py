@@ -4,16 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps
 from matplotlib.axes import Axes
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.cm import ScalarMappable
+from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import Normalize
+from matplotlib.image import AxesImage
 from matplotlib.patches import Circle as CirclePatch
 from matplotlib.patches import Patch
 from matplotlib.patches import Polygon as PolygonPatch
 from matplotlib.patheffects import withStroke
+from PIL import Image, ImageDraw
 
 from demflow.model.region import Circle, bounding_box, contains, parts_of
 from demflow.model.scene import Fracture, Scene, lines_of
@@ -22,13 +27,20 @@ from demflow.sweep.figures.style import (
     BLACK,
     SEQUENTIAL,
     VERMILION,
+    WIDTHS,
+    few_ticks,
+    fixed_panels,
+    form,
     label,
-    new_figure,
+    narrow,
+    pixels,
     save,
 )
 from demflow.sweep.figures.style import heading as title_over
 
 MOST_GRAINS = 3000  # with more, grains are too small to be seen
+NARROWEST, WIDEST = 0.4, 1.4  # points of a fracture's line, from closed to the most open
+TINY = 1e-300
 CLIP = (1.0, 99.0)  # percentiles at which the colours end, so that a well does not take them all
 SMALL_CHANGE = 0.1  # of the initial pressure: below it, the change is drawn
 PANELS = 4  # map times where the study names none
@@ -42,13 +54,13 @@ _EXTEND = {
 }
 
 
-def map_times(times: np.ndarray, wanted: Sequence[float] | None) -> list[int]:
-    """Positions of the times to draw: the nearest to those wanted, else four, evenly in log."""
+def map_times(times: np.ndarray, wanted: Sequence[float] | None, most: int = PANELS) -> list[int]:
+    """Positions of the times to draw: the nearest to those wanted, else `most`, evenly in log."""
     if wanted:
         return sorted({int(np.argmin(np.abs(times - t))) for t in wanted})
-    if len(times) <= PANELS:
+    if len(times) <= most:
         return list(range(len(times)))
-    even = np.geomspace(times[0], times[-1], PANELS + 1)[1:]
+    even = np.geomspace(times[0], times[-1], most + 1)[1:]
     return sorted({int(np.argmin(np.abs(np.log(times / t)))) for t in even})
 
 
@@ -70,6 +82,57 @@ def polygons(maps: xr.Dataset) -> list[np.ndarray]:
     # a decoded file has NaN, a raw one its fill value (negative here) where a face has no corner
     kept = np.isfinite(faces) & (faces >= offset)
     return [nodes[row[good].astype(int) - offset] for row, good in zip(faces, kept, strict=True)]
+
+
+class Pores(NamedTuple):
+    """Pores on a grid of pixels, so that many fields of them are drawn at the price of one."""
+
+    number: np.ndarray  # (rows, columns) of the pore at each pixel, from below; -1 where none is
+    extent: tuple[float, float, float, float]  # left, right, bottom, top, m
+
+
+def pores_on_pixels(maps: xr.Dataset) -> Pores:
+    """Which pore lies at each pixel.
+
+    Parameters
+    ----------
+    maps : of one case, with the mesh of its domains
+    """
+    corners = polygons(maps)
+    nodes = np.concatenate(corners)
+    low, high = nodes.min(axis=0), nodes.max(axis=0)
+    scale = pixels() / float(np.max(high - low))
+    columns, rows = (max(int(np.ceil(size)), 1) for size in (high - low) * scale)
+    canvas = Image.new("I", (columns, rows), 0)
+    pen = ImageDraw.Draw(canvas)
+    flat = ((nodes - low) * scale - 0.5).ravel().tolist()
+    end = 0
+    for number, one in enumerate(corners, start=1):
+        begin, end = end, end + 2 * len(one)
+        pen.polygon(flat[begin:end], fill=number)
+    left, bottom = map(float, low)
+    right, top = left + columns / scale, bottom + rows / scale
+    return Pores(np.asarray(canvas) - 1, (left, right, bottom, top))
+
+
+def draw_pores(panel: Axes, pores: Pores, values: np.ndarray, norm: Normalize) -> AxesImage:
+    """Colour pores by values; returns the image.
+
+    Parameters
+    ----------
+    panel : where to draw
+    pores : on pixels
+    values : (domain,), in the unit of the colours
+    norm : limits of the colours
+    """
+    # each pore's colour is found once, and not each pixel's; none at the end, where -1 points
+    colours = np.zeros((len(values) + 1, 4), dtype=np.uint8)
+    colours[:-1] = colormaps[SEQUENTIAL](norm(values), bytes=True)
+    colours[:-1][~np.isfinite(values)] = 0
+    return panel.imshow(
+        colours[pores.number], extent=pores.extent, origin="lower", interpolation="nearest",
+        zorder=1,
+    )  # fmt: skip
 
 
 def colour_limits(values: np.ndarray) -> tuple[float, float]:
@@ -101,6 +164,7 @@ def draw_maps(
     heading: str,
     path: Path,
     wanted: Sequence[float] | None = None,
+    most: int = PANELS,
 ) -> Path:
     """Pressure over the pores at a few times (or the steady state), one colour bar.
 
@@ -111,64 +175,64 @@ def draw_maps(
     heading : what tells this case from others.
     path : PNG to write.
     wanted : times in s; the nearest recorded ones are drawn.
+    most : how many times are drawn where none is wanted.
     """
     transient = "elapsed_time" in maps["pressure"].dims
     if transient:
         times = maps["elapsed_time"].values
-        chosen = map_times(times, wanted)
+        chosen = map_times(times, wanted, most)
         pressure = maps["pressure"].transpose("elapsed_time", "domain").values[chosen]
         titles = [f"t = {with_unit(t, 's')}" for t in times[chosen]]
     else:
         pressure, titles = maps["pressure"].values[None], ["steady state"]
     pressure, factor, name = _readable(pressure, scene)
-    shapes = polygons(maps)
+    pores = pores_on_pixels(maps)
     low, high = colour_limits(pressure * factor)
     norm = Normalize(low, high)
-    columns = len(titles) if len(titles) <= 2 else -(-len(titles) // 2) if len(titles) <= 6 else 4
+    columns = 1 if narrow() and len(titles) == 1 else min(len(titles), 2 if narrow() else 4)
+    columns = 2 if len(titles) == 4 else 3 if len(titles) in (5, 6) and not narrow() else columns
     rows = -(-len(titles) // columns)
     xmin, xmax, ymin, ymax = bounding_box(scene.region)
-    aspect = (ymax - ymin) / (xmax - xmin)
-    side = {1: 5.0, 2: 3.9}.get(columns, 3.2)
-    figure = new_figure(side * columns + 1.1, side * rows * min(aspect, 2.0) + 0.75)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for panel, field, title in zip(panels.flat, pressure, titles, strict=False):
-        patches = PolyCollection(
-            shapes,
-            array=field * factor,
-            cmap=SEQUENTIAL,
-            norm=norm,
-            edgecolors="face",
-            linewidths=0.3,
-        )
+    margin = 0.03 * max(xmax - xmin, ymax - ymin)
+    aspect = (ymax - ymin + 2 * margin) / (xmax - xmin + 2 * margin)
+    side = {1: 4.4, 2: 3.6}.get(columns, 3.0)
+    over = 0.15 + 0.2 * len(heading.splitlines()) if not WIDTHS.get(form().width) else 0.05
+    figure, panels = fixed_panels(
+        rows, columns, (side / max(aspect / 2.0, 1.0), side * min(aspect, 2.0)),
+        between=(0.12, 0.32), margins=(0.7, 1.15, 0.55, 0.3 + over), shown=len(titles),
+    )  # fmt: skip
+    for panel, field, title in zip(panels, pressure, titles, strict=True):
         outline, *_ = [panel.add_patch(rim) for rim in rims(scene)]
-        panel.add_collection(patches)
+        image = draw_pores(panel, pores, field * factor, norm)
+        image.set_clip_path(outline)
         _grains(panel, maps, scene)
-        _fractures(panel, maps)
+        draw_traces(panel, maps)
         _barriers(panel, scene)
         for collection in panel.collections:
             collection.set_clip_path(outline)
-        _wells(panel, scene)
-        margin = 0.03 * max(xmax - xmin, ymax - ymin)
+        draw_wells(panel, maps)
         panel.set(
             xlim=(xmin - margin, xmax + margin),
             ylim=(ymin - margin, ymax + margin),
-            aspect="equal",
+            aspect="auto",  # the panel has that of the region
             title=title,
         )
         panel.grid(False)
-    for panel in panels.flat[len(titles) :]:
-        panel.set_visible(False)
-    for panel in panels[-1]:
+    few_ticks(panels, columns)
+    for panel in panels[-columns:]:
         panel.set_xlabel("x (m)")
-    for panel in panels[:, 0]:
+    for panel in panels[::columns]:
         panel.set_ylabel("y (m)")
     beyond = (bool(np.nanmin(pressure) * factor < low), bool(np.nanmax(pressure) * factor > high))
-    figure.colorbar(patches, ax=panels, label=name, shrink=0.85, aspect=30, extend=_EXTEND[beyond])
+    width, height = figure.get_size_inches()
+    bar = figure.add_axes((1.0 - 1.0 / width, 0.55 / height, 0.16 / width, 1 - 1.1 / height))
+    colours = ScalarMappable(norm, SEQUENTIAL)
+    figure.colorbar(colours, cax=bar, label=name, extend=_EXTEND[beyond])
     title_over(figure, heading, fontsize=10.5)
     shown = ", ".join(titles)
     caption = f"Pore pressure, {heading.replace(chr(10), ', ')}: {shown}. Each polygon is a pore"
     barriers = [_is_barrier(fracture) for fracture in scene.fractures]
-    caption += "" if all(barriers) else ", white lines are fractures"
+    caption += "" if all(barriers) else ", white lines are fractures, the wider the more open"
     caption += ", dashed black lines are barriers" if any(barriers) else ""
     caption += ", wells are circles." if scene.wells else "."
     if any(beyond):
@@ -212,28 +276,29 @@ def _grains(panel: Axes, maps: xr.Dataset, scene: Scene) -> None:
     )
 
 
-def _fractures(panel: Axes, maps: xr.Dataset) -> None:
-    if "on_fracture" not in maps:
-        return
-    start, end = maps["from_domain"].values, maps["to_domain"].values
-    along = (maps["on_fracture"].values >= 0) & (start >= 0) & (end >= 0)
-    branches = "branch_from" in maps
-    if branches:  # the last pipes, which have places of their own
-        along[len(along) - len(maps["branch_from"]) :] = False
-    places = np.stack([maps["x"].values, maps["y"].values], axis=1)
-    segments = np.stack([places[start[along]], places[end[along]]], axis=1)
-    if branches:
+def draw_traces(panel: Axes, maps: xr.Dataset) -> None:
+    """Fractures as the straight lines that they are, wider where they are more open.
+
+    Parameters
+    ----------
+    panel : where to draw
+    maps : of one case
+    """
+    if "branch_from" in maps:
         nodes = np.stack([maps["fracture_node_x"].values, maps["fracture_node_y"].values], axis=1)
-        ends = np.stack([maps["branch_from"].values, maps["branch_to"].values], axis=1)
-        segments = np.concatenate([segments, nodes[ends]])
-    panel.add_collection(
-        LineCollection(
-            list(segments),
-            colors="white",
-            linewidths=0.9,
-            path_effects=[withStroke(linewidth=1.7, foreground=(0, 0, 0, 0.55))],
-        )
-    )
+        segments = nodes[np.stack([maps["branch_from"], maps["branch_to"]], axis=1)]
+        aperture = maps["branch_aperture"].values
+        widths = NARROWEST + (WIDEST - NARROWEST) * aperture / max(aperture.max(initial=0.0), TINY)
+    elif "trace_from_x" in maps:
+        ends = [[maps[f"trace_{end}_{axis}"].values for axis in "xy"] for end in ("from", "to")]
+        segments = np.moveaxis(np.array(ends), -1, 0)
+        widths = np.full(len(segments), NARROWEST)
+    else:
+        return
+    for colour, more in (((0, 0, 0, 0.55), 0.8), ("white", 0.0)):
+        lines = LineCollection(segments, colors=colour, linewidths=widths + more, zorder=3)
+        lines.set_capstyle("round")
+        panel.add_collection(lines)
 
 
 def _is_barrier(fracture: Fracture) -> bool:
@@ -254,11 +319,21 @@ def _barriers(panel: Axes, scene: Scene) -> None:
     )
 
 
-def _wells(panel: Axes, scene: Scene) -> None:
-    for well in scene.wells:
+def draw_wells(panel: Axes, maps: xr.Dataset) -> None:
+    """Wells as circles of their size, with a cross that is seen where they are small.
+
+    Parameters
+    ----------
+    panel : where to draw
+    maps : of one case
+    """
+    if "well_x" not in maps:
+        return
+    at = np.stack([maps[f"well_{name}"].values for name in ("x", "y", "radius")], axis=1)
+    for x, y, radius in at:
         panel.add_patch(
             CirclePatch(
-                well.at, well.radius, facecolor="none", edgecolor=VERMILION, linewidth=1.6, zorder=5
+                (x, y), radius, facecolor="none", edgecolor=VERMILION, linewidth=1.6, zorder=5
             )
         )
-        panel.plot(*well.at, marker="+", color=VERMILION, markersize=4, zorder=5)
+        panel.plot(x, y, marker="+", color=VERMILION, markersize=4, zorder=5)

@@ -4,29 +4,36 @@ from __future__ import annotations
 
 from collections.abc import Set
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
 from demflow.sweep.figures.style import (
     BLUE,
     GREY,
     VERMILION,
-    beside,
+    fixed_panels,
     heading,
     is_log_spaced,
+    legend_text,
+    name_ticks,
     narrow,
-    new_figure,
+    pick,
     plain_log_ticks,
     quiet_minor_labels,
     save,
+    shorten,
 )
 
 _COMPONENTS = (("k_xx", 0, BLUE, "o"), ("k_yy", 1, VERMILION, "s"))
+MOST_PANELS = 6
+SIZE = (2.6, 2.3)  # inches of a panel
+FEW = 4  # curves that are drawn each; of more their range
 
 
 def draw_permeability(
@@ -34,10 +41,9 @@ def draw_permeability(
 ) -> Path | None:
     """k_xx and k_yy against each axis that changes them, one panel an axis.
 
-    Thin lines are the values of the other axes, thick ones their geometric mean. Along an
-    axis of `ensembles` (seeds of packings), whose order means nothing, no lines are drawn.
-    None where no case has a permeability; without an axis that matters, one panel shows the
-    values.
+    Lines are geometric means over the other axes, bands all of their values. Along an axis of
+    `ensembles` (seeds of packings), whose order means nothing, no lines are drawn. None where no
+    case has a permeability; without an axis that matters, one panel shows the values.
 
     Parameters
     ----------
@@ -53,63 +59,50 @@ def draw_permeability(
     idle = [a for a in varied if a not in matter]
     # along the others all cases that have a value have the same
     tensor = tensor.max([a for a in axes(dataset) if a not in matter])
-    factor, unit = display("m2", np.array([tensor.values[..., i, i] for i in (0, 1)]))
-    figure, panels = _panels(max(len(matter), 1))
+    shown: list[str | None] = [*matter[:MOST_PANELS]] or [None]
+    columns = 1 if narrow() else min(len(shown), 3)
+    names = [tick_names(dataset, axis) for axis in shown]
+    below = 0.55 + max(room_of_names(one) for one in names)
+    figure, panels = fixed_panels(
+        -(-len(shown) // columns), columns, SIZE if len(shown) > 1 else (1.5 * SIZE[0], SIZE[1]),
+        between=(0.25, below + 0.1), margins=(0.8, 0.2, below, 0.75), shown=len(shown),
+    )  # fmt: skip
     values = np.concatenate([tensor.values[..., i, i].ravel() for i in (0, 1)])
-    values = values[np.isfinite(values)]
-    logarithmic = values.min() > 0 and values.max() / values.min() > 8
-    shown: list[str | None] = [*matter] or [None]
-    for axis, panel in zip(shown, panels, strict=True):
-        for _, i, colour, marker in _COMPONENTS:
-            _draw(
-                panel,
-                tensor.isel(row=i, column=i) * factor,
-                axis,
-                colour,
-                marker,
-                axis in ensembles,
-            )
-        if logarithmic:
-            panel.set_yscale("log")
-        elif 0 < 1.5 * values.min() < values.max():
-            panel.set_ylim(0, 1.08 * factor * values.max())
+    for axis, panel, own in zip(shown, panels, names, strict=True):
+        panel.tick_params(labelbottom=True)
+        for name, i, colour, marker in _COMPONENTS:
+            plot_along(
+                dataset, tensor.isel(row=i, column=i), axis, panel,
+                colour=colour, marker=marker, label=name, joined=axis not in ensembles,
+                at=values,
+            )  # fmt: skip
         if axis:
-            _place(panel, dataset, axis)
-        else:
-            panel.set_xticks([])
-    if logarithmic:
-        plain_log_ticks(panels[0].yaxis)
-    _name(panels, f"permeability ({unit})")
-    handles = [
+            place_axis(panel, dataset, axis, own)
+    for k, panel in enumerate(panels):
+        panel.set_ylim(panels[0].get_ylim())
+        if k % columns:
+            panel.set_ylabel("")
+    handles: list[Line2D | Patch] = [
         Line2D([], [], color=colour, marker=marker, markersize=5, label=name)
         for name, _, colour, marker in _COMPONENTS
     ]
     if len(matter) > 1:
         handles.append(Line2D([], [], color=GREY, linewidth=2.2, label="geometric mean"))
-        handles.append(Line2D([], [], color=GREY, linewidth=0.6, label="each of the other cases"))
-    beside(figure, handles=handles)
-    heading(figure, "Permeability of the region", fontsize=11)
+        handles.append(Patch(color=GREY, alpha=0.25, linewidth=0, label="all cases"))
+    height = figure.get_size_inches()[1]
+    figure.legend(
+        handles=handles, loc="upper left", ncols=2 if narrow() else 4, columnspacing=1.2,
+        bbox_to_anchor=(0.01, 1.0 - (0.0 if narrow() else 0.28) / height),
+    )  # fmt: skip
+    heading(figure, "Permeability of the region", x=0.02, ha="left", fontsize=11)
     caption = "Diagonal of the permeability tensor"
     if matter:
-        caption += " against " + ", ".join(axis_title(a) for a in matter)
+        caption += " against " + ", ".join(axis_title(a) for a in matter[:MOST_PANELS])
     if len(matter) > 1:
-        caption += "; thick: geometric mean over the other axes, thin: each of their values"
+        caption += "; lines: geometric mean over the other axes, bands: all of their values"
     if idle:
         caption += f". It does not change with {', '.join(axis_title(a) for a in idle)}"
     return save(figure, path, caption + ".")
-
-
-def _name(panels: np.ndarray, text: str) -> None:
-    """Say what is drawn upwards, once for panels beside each other."""
-    for panel in panels if narrow() else panels[:1]:
-        panel.set_ylabel(text)
-
-
-def _panels(count: int) -> tuple[Figure, np.ndarray]:
-    """Panels beside each other, or below where there is one column for them."""
-    rows = count if narrow() else 1
-    figure = new_figure(max(3.0 * (count // rows) + 1.2, 4.6), 3.6 if rows == 1 else 2.1 * rows)
-    return figure, figure.subplots(rows, count // rows, sharey=True, squeeze=False).ravel()
 
 
 def _matters(tensor: xr.DataArray, axis: str) -> bool:
@@ -120,64 +113,123 @@ def _matters(tensor: xr.DataArray, axis: str) -> bool:
     return bool(np.any(spread.values > 1e-9 * float(size)))
 
 
-def _draw(
-    panel: Axes,
+def plot_along(
+    dataset: xr.Dataset,
     values: xr.DataArray,
     axis: str | None,
-    colour: str,
-    marker: str,
-    ensemble: bool,
-) -> None:
-    if axis is None:
-        panel.plot([0.0], np.nanmean(values.values), color=colour, marker=marker, linestyle="none")
-        return
+    panel: Axes,
+    *,
+    colour: str = BLUE,
+    marker: str = "o",
+    label: str = "",
+    joined: bool = True,
+    at: np.ndarray | None = None,
+) -> Axes:
+    """Draw a quantity against an axis of a study, with what the other axes make of it; return it.
+
+    A line is the mean over the other axes, the geometric one of what is above zero everywhere; a
+    band reaches from the least to the greatest. Of few values each is a point or a thin line.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    values : one number a case, over axes of the study, in SI
+    axis : along which; None: their mean is one point
+    panel : where to draw
+    colour, marker, label : of the line
+    joined : False where the order along the axis means nothing, as of seeds
+    at : numbers that choose unit and scale, by default the values
+    """
+    seen = np.asarray(values.values if at is None else at, dtype=float)
+    seen = seen[np.isfinite(seen)]
+    factor, unit = display(str(values.attrs.get("units", "1")), seen)
+    name = axis_title(str(values.name or ""))
+    panel.set_ylabel(f"{name} ({unit})" if unit else name)
+    if not len(seen):
+        return panel
     others = [d for d in values.dims if d != axis]
-    curves = values.transpose(axis, *others).values.reshape(values.sizes[axis], -1)
-    place = _positions(values, axis)
+    curves = values.transpose(*([axis] if axis else []), *others).values * factor
+    curves = curves.reshape(values.sizes[axis] if axis else 1, -1)
+    place = _positions(dataset, axis) if axis else np.zeros(1)
     order = np.argsort(place)
-    single = curves.shape[1] == 1
-    if not single:
-        line, dot = ("none", ".") if ensemble else ("-", "none")
-        panel.plot(
-            place[order],
-            curves[order],
-            color=colour,
-            alpha=0.45,
-            linestyle=line,
-            linewidth=0.6,
-            marker=dot,
-        )
-    positive = np.where(curves > 0, curves, np.nan)
-    count = np.sum(np.isfinite(positive), axis=1)
-    total = np.nansum(np.log(positive), axis=1)
-    mean = np.exp(np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0))
+    place, curves = place[order], curves[order]
+    many = curves.shape[1]
+    look: dict[str, Any] = {"color": colour, "linewidth": 0}
+    if 1 < many <= FEW and joined:
+        panel.plot(place, curves, color=colour, alpha=0.45, linewidth=0.6)
+    elif many > 1 and joined:
+        low, high = (f(curves, axis=1, initial=s, where=np.isfinite(curves))
+                     for f, s in ((np.min, np.inf), (np.max, -np.inf)))  # fmt: skip
+        kept = high >= low
+        panel.fill_between(place[kept], low[kept], high[kept], alpha=0.2, **look)
+    elif many > 1:
+        panel.plot(place, curves, color=colour, alpha=0.45, linestyle="none", marker=".")
     panel.plot(
-        place[order],
-        mean[order],
-        color=colour,
-        marker=marker,
-        markersize=5,
-        linestyle="none" if ensemble else "-",
-        linewidth=2.2,
-    )
+        place, _middle(curves, bool(seen.min() > 0)), color=colour, marker=marker, markersize=5,
+        linestyle="-" if joined and axis else "none", linewidth=2.0, label=legend_text(label),
+    )  # fmt: skip
+    if seen.min() > 0 and seen.max() / seen.min() > 8:
+        panel.set_yscale("log")
+        plain_log_ticks(panel.yaxis)
+    elif 0 < 1.5 * seen.min() < seen.max():
+        panel.set_ylim(0, 1.08 * factor * seen.max())
+    if axis is None:
+        panel.set_xticks([])
+    return panel
 
 
-def _positions(values: xr.DataArray, axis: str) -> np.ndarray:
+def _middle(curves: np.ndarray, geometric: bool) -> np.ndarray:
+    """Mean of each row, of its values that are there; NaN where none is."""
+    good = np.where(curves > 0, curves, np.nan) if geometric else curves
+    count = np.sum(np.isfinite(good), axis=1)
+    total = np.nansum(np.log(good) if geometric else good, axis=1)
+    mean = np.divide(total, count, out=np.full(len(count), np.nan), where=count > 0)
+    return np.exp(mean) if geometric else mean
+
+
+def _numeric(dataset: xr.Dataset, axis: str) -> bool:
+    return axis in dataset.coords and dataset[axis].dtype.kind in "iuf"
+
+
+def _positions(dataset: xr.Dataset, axis: str) -> np.ndarray:
     """Where the values of an axis stand: at themselves, or one apart where they are words."""
-    if axis in values.coords and values[axis].dtype.kind in "iuf":
-        return values[axis].values.astype(float) * _axis_unit(values, axis)[0]
-    return np.arange(values.sizes[axis], dtype=float)
+    if _numeric(dataset, axis):
+        return dataset[axis].values.astype(float) * _axis_unit(dataset, axis)[0]
+    return np.arange(dataset.sizes[axis], dtype=float)
 
 
-def _axis_unit(values: xr.DataArray | xr.Dataset, axis: str) -> tuple[float, str]:
-    return display(str(values[axis].attrs.get("units", "1")), values[axis].values)
+def _axis_unit(dataset: xr.Dataset, axis: str) -> tuple[float, str]:
+    return display(str(dataset[axis].attrs.get("units", "1")), dataset[axis].values)
 
 
-def _place(panel: Axes, dataset: xr.Dataset, axis: str) -> None:
-    """Label, scale and ticks of the x axis of a panel."""
-    if axis not in dataset.coords or dataset[axis].dtype.kind not in "iuf":
-        names = [axis_value(dataset, axis, i) for i in range(dataset.sizes[axis])]
-        panel.set_xticks(range(len(names)), names)
+def tick_names(dataset: xr.Dataset, axis: str | None) -> list[str]:
+    """Words under an axis of a study that is no number; none where it is one."""
+    if axis is None or _numeric(dataset, axis):
+        return []
+    return [shorten(axis_value(dataset, axis, i), 32) for i in range(dataset.sizes[axis])]
+
+
+def room_of_names(names: list[str]) -> float:
+    """Inches that slanted words take below a panel."""
+    return 0.04 * max(map(len, names), default=0)
+
+
+def place_axis(panel: Axes, dataset: xr.Dataset, axis: str, names: list[str]) -> None:
+    """Label, scale and ticks of the x axis of a panel.
+
+    Parameters
+    ----------
+    panel : where the values are drawn
+    dataset : as `open_results` gives it
+    axis : of the study
+    names : its `tick_names`
+    """
+    if not _numeric(dataset, axis):
+        name_ticks(panel.xaxis, range(len(names)), names)
+        if max(map(len, names), default=0) * len(names) > 24:
+            panel.tick_params(axis="x", labelrotation=30)
+            for text in panel.get_xticklabels():
+                text.set_horizontalalignment("right")
         panel.set_xlabel(axis_title(axis))
         return
     values = dataset[axis].values.astype(float)
@@ -185,5 +237,8 @@ def _place(panel: Axes, dataset: xr.Dataset, axis: str) -> None:
     panel.set_xlabel(f"{axis_title(axis)} ({unit})" if unit else axis_title(axis))
     if is_log_spaced(values):
         panel.set_xscale("log")
-    if len(values) <= 6:
+        panel.minorticks_off()
+        chosen = [values[k] * factor for k in pick(len(values), 5)]
+        quiet_minor_labels(panel, chosen)
+    elif len(values) <= 6:
         quiet_minor_labels(panel, list(values * factor))

@@ -11,7 +11,7 @@ import xarray as xr
 from demflow.sweep.analysis.cases import axes, display
 from demflow.sweep.analysis.sensitivity import OBSERVED, sensitivity
 from demflow.sweep.errors import ResultsError
-from demflow.sweep.figures.style import BLUE, VERMILION, legend_text, new_figure, save
+from demflow.sweep.figures.style import BLUE, VERMILION, legend_text, name_ticks, new_figure, save
 
 RESULTS = ("permeability", "well_pressure", "well_rate", "boundary_flow", "peak_strength")
 MOST = 6  # panels
@@ -59,7 +59,7 @@ def draw_sensitivity(dataset: xr.Dataset, path: Path) -> Path | None:
             panel.plot(factor * found[name], rows + place, "o", color=colour, markersize=4,
                        label=legend_text(words))  # fmt: skip
         panel.set(title=title, xlabel=unit or "part of the variance")
-        panel.set_yticks(rows, names)
+        name_ticks(panel.yaxis, rows, names)
     figure.axes[0].invert_yaxis()
     figure.axes[0].legend()
     what = "Sobol' indices" if method == "saltelli" else "Effects of whole ranges"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -29,16 +28,14 @@ from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
-    LINE_STYLES,
-    beside,
+    fixed_panels,
     heading,
     legend_text,
     narrow,
-    new_figure,
     pick,
-    plain_log_ticks,
     save,
     shades,
+    shorten,
     time_unit,
 )
 from demflow.sweep.study.units import parse_unit
@@ -47,44 +44,37 @@ WellOf = Callable[[Index, str], Well | None]  # None: the case has no such well
 
 MOST_LINES = 10  # cases on axes of the caller's
 
-_MOST = (5, 3, 3, 2)  # values shown by colour, line style, column of panels, row of panels
+MOST_VALUES = 4  # of an axis in its panel: eight curves
+MOST_PANELS = 4
+WIDTH, ALONE = 3.5, 5.6  # inches of a panel beside others, and of one alone
 _DECADES = 4.5  # shown below the largest pressure change
+_SHAPE = (0.5, 1.1)  # height of a panel over its width, whose decades are as long both ways
 _SLOPES = ((1.0, "1"), (0.5, "1/2"), (0.25, "1/4"), (0.0, "0"))
 
 
-class _Roles(NamedTuple):
-    """Which axis is told apart by what, and the positions of its values that are shown."""
+class _Panel(NamedTuple):
+    """One axis of the study and which of its values are drawn; the others stay as `held`."""
 
-    names: tuple[str | None, ...]  # colour, line style, column, row
-    shown: tuple[list[int], ...]
-    held: Index  # the other axes, at their first value
-
-
-def _roles(dataset: xr.Dataset) -> _Roles:
-    varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
-    unused: list[str | None] = [None] * len(_MOST)
-    kept = varied[:2] if narrow() else varied  # one panel fits into a column
-    names = tuple([*kept, *unused][: len(_MOST)])
-    shown = tuple(
-        pick(dataset.sizes[name], most) if name else [0]
-        for name, most in zip(names, _MOST, strict=True)
-    )
-    held = {a: 0 for a in axes(dataset) if a not in names}
-    return _Roles(names, shown, held)
+    axis: str | None
+    shown: list[Index]
 
 
-def _index(roles: _Roles, positions: tuple[int, ...]) -> Index:
-    return roles.held | {
-        name: position for name, position in zip(roles.names, positions, strict=True) if name
-    }
+def _panels(dataset: xr.Dataset, held: Index) -> list[_Panel]:
+    """A panel for each axis that varies, of its cases that are done."""
+    found = []
+    for axis in [a for a in axes(dataset) if dataset.sizes[a] > 1][:MOST_PANELS]:
+        cases = [held | {axis: k} for k in range(dataset.sizes[axis])]
+        good = [one for one in cases if int(dataset["status"].isel(one)) == Status.DONE]
+        found.append(_Panel(axis, [good[k] for k in pick(len(good), MOST_VALUES)]))
+    return found or [_Panel(None, [held])]
 
 
 def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Path | None:
     """Pressure change and Bourdet derivative of one well; None where no case has any.
 
-    Up to four axes are told apart by colour, line style, column and row of panels; of long
-    axes a few values are drawn, and the caption says which. Flow periods after the first
-    are thinner lines over the time since their own rate change.
+    A panel for each of the first axes, in which that axis alone varies: the others are as in the
+    first case that is done. Of long axes a few values are drawn, and the caption says which. Flow
+    periods after the first are thinner lines over the time since their own rate change.
 
     Parameters
     ----------
@@ -93,74 +83,139 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     well_of : the well of the case at an index
     path : where the figure is written
     """
-    roles = _roles(dataset)
-    columns, rows = roles.shown[2], roles.shown[3]
     times = dataset["elapsed_time"].values
-    changes = dataset["pressure_change"].sel(well=well)
-    if not np.any(changes.values > 0):
+    flows = dataset["pressure_change"].sel(well=well)
+    good = [index for index in done(dataset) if np.any(flows.isel(index).values > 0)]
+    if not good:
         return None
-    top = float(np.nanmax(changes.values))
+    shown = _panels(dataset, good[0])
     time_factor, time_name = time_unit(times)
-    factor, pressure_name = display("Pa", top)
-    wide = len(columns) == 1
-    figure = new_figure(
-        7.4 if wide else 3.1 * len(columns) + 1.7, 4.6 if len(rows) == 1 else 3.2 * len(rows) + 0.6
-    )
-    panels = figure.subplots(len(rows), len(columns), sharex=True, sharey=True, squeeze=False)
-    blues, reds = (shades(name, len(roles.shown[0])) for name in ("Blues", "Reds"))
-    drawn = 0
-    for c, s, col, row in product(*(range(len(shown)) for shown in roles.shown)):
-        index = _index(roles, tuple(roles.shown[i][j] for i, j in enumerate((c, s, col, row))))
-        case = dataset.isel(index)
-        if int(case["status"]) != Status.DONE:
-            continue
-        own = well_of(index, well)
-        if own is None:
-            continue
-        starts, _ = flow_periods(own.rate_changes)
-        drawn += 1
-        for name, colour in (("pressure_change", blues[c]), ("pressure_derivative", reds[c])):
-            values = case[name].sel(well=well).values
-            for k, start in enumerate(starts):
-                end = starts[k + 1] if k + 1 < len(starts) else np.inf
-                shown = (times > start) & (times <= end) & (values > 0)
-                panels[row, col].plot(
-                    (times[shown] - start) * time_factor,
-                    values[shown] * factor,
-                    color=colour,
-                    linestyle=LINE_STYLES[s],
-                    linewidth=1.6 if k == 0 else 0.9,
-                    marker="." if np.count_nonzero(shown) <= 12 else "",
-                )
+    lines: list[list[_Line]] = []
+    for one in shown:
+        blues, reds = (shades(name, len(one.shown)) for name in ("Blues", "Reds"))
+        lines.append([])
+        for index, blue, red in zip(one.shown, blues, reds, strict=True):
+            own = well_of(index, well)
+            if own is not None:
+                lines[-1] += _lines(dataset.isel(index), well, own, (blue, red))
+    drawn = [line for own in lines for line in own if len(line.time)]
     if not drawn:
         return None
-    panels[0, 0].set(xscale="log", yscale="log")
-    low = max(_least(dataset, well) / 1.5, top / 10**_DECADES)
-    panels[0, 0].set_ylim(low * factor, 2.0 * top * factor)
-    plain_log_ticks(panels[0, 0].yaxis)
-    corner = _emptiest_corner(list(panels.flat))
-    for (j, row), (i, col) in product(enumerate(rows), enumerate(columns)):
-        title = [
-            f"{axis_title(name)} {axis_value(dataset, name, position)}"
-            for name, position in zip(roles.names[2:], (col, row), strict=True)
-            if name
-        ]
-        panels[j, i].set_title(", ".join(title))
-        _slope_fan(panels[j, i], corner)
-    figure.supxlabel(
-        f"time since the rate change ({time_name})", fontsize=rcParams["axes.labelsize"]
-    )
-    figure.supylabel(f"Δp and dΔp/d ln t ({pressure_name})", fontsize=rcParams["axes.labelsize"])
-    # from the left, so that a long legend on the right cannot reach it
+    top = max(float(line.value.max()) for line in drawn)
+    factor, pressure_name = display("Pa", top)
+    x, y, shape = _limits(drawn, top)
+    beside_each_other = 1 if narrow() else {1: 1, 3: 3}.get(len(shown), 2)
+    rows = -(-len(shown) // beside_each_other)
+    width = ALONE if len(shown) == 1 else WIDTH
+    heads = [_entries(dataset, one) for one in shown]
+    room = 0.2 + 0.17 * max(-(-len(head.handles) // head.columns) for head in heads)
+    figure, panels = fixed_panels(
+        rows, beside_each_other, (width, width * shape),
+        between=(0.25, room + 0.12), margins=(0.75, 0.2, 0.6, room + 0.32), shown=len(shown),
+    )  # fmt: skip
+    for panel, drawn_there, head in zip(panels, lines, heads, strict=True):
+        _draw_panel(panel, drawn_there, head, (time_factor, factor))
+        panel.set(xlim=np.multiply(x, time_factor), ylim=np.multiply(y, factor))
+    corner = _emptiest_corner(panels)
+    for k, panel in enumerate(panels):
+        _slope_fan(panel, corner)
+        if k + beside_each_other >= len(panels):
+            panel.set_xlabel(f"time since the rate change ({time_name})")
+        if k % beside_each_other == 0:
+            panel.set_ylabel(f"Δp (blue), dΔp/d ln t (red) ({pressure_name})")
+    # from the left, so that it stands over what it names
     heading(
-        figure,
-        f"Well {well}: pressure change and Bourdet derivative",
-        x=0.01,
-        ha="left",
+        figure, f"Well {well}: pressure change and Bourdet derivative", x=0.01, ha="left",
         fontsize=11,
-    )
-    beside(figure, handles=_legend(dataset, roles, blues, reds), handlelength=2.6)
-    return save(figure, path, _caption(dataset, well, roles, drawn))
+    )  # fmt: skip
+    return save(figure, path, _caption(dataset, well, shown, good[0]))
+
+
+def _draw_panel(panel: Axes, lines: list[_Line], head: _Head, factors: tuple[float, float]) -> None:
+    """Curves and their names over them, in units for people."""
+    for line in lines:
+        panel.plot(
+            line.time * factors[0],
+            line.value * factors[1],
+            color=line.colour,
+            linewidth=rcParams["lines.linewidth"] * (1.0 if line.first else 0.55),
+            marker="." if len(line.time) <= 12 else "",
+        )
+    panel.set(xscale="log", yscale="log")
+    panel.minorticks_off()
+    if head.handles:
+        panel.legend(
+            handles=head.handles,
+            ncols=head.columns,
+            loc="lower left",
+            borderaxespad=0.1,
+            bbox_to_anchor=(0.0, 1.0),
+            columnspacing=1.2,
+            handlelength=1.6,
+            title=head.title,
+            alignment="left",
+            title_fontsize=rcParams["axes.titlesize"],
+        )
+
+
+class _Line(NamedTuple):
+    """A curve of one flow period."""
+
+    time: np.ndarray  # s since the rate change
+    value: np.ndarray  # Pa
+    colour: np.ndarray
+    first: bool  # of the periods
+
+
+def _lines(
+    case: xr.Dataset, well: str, own: Well, colours: tuple[np.ndarray, np.ndarray]
+) -> list[_Line]:
+    times = case["elapsed_time"].values
+    starts, _ = flow_periods(own.rate_changes)
+    found = []
+    for name, colour in zip(("pressure_change", "pressure_derivative"), colours, strict=True):
+        values = case[name].sel(well=well).values
+        for k, start in enumerate(starts):
+            end = starts[k + 1] if k + 1 < len(starts) else np.inf
+            seen = (times > start) & (times <= end) & (values > 0)
+            found.append(_Line(times[seen] - start, values[seen], colour, k == 0))
+    return found
+
+
+def _limits(
+    lines: list[_Line], top: float
+) -> tuple[tuple[float, float], tuple[float, float], float]:
+    """Ends of both axes, s and Pa, and height over width at which decades are as long both ways."""
+    since = np.concatenate([line.time for line in lines])
+    x = (float(since.min()) / 1.3, float(since.max()) * 1.3)
+    least = min(float(line.value.min()) for line in lines)
+    wide = np.log10(x[1] / x[0])
+    high = np.log10(2.0 * top / max(least / 1.5, top / 10**_DECADES))
+    high = float(np.clip(high, _SHAPE[0] * wide, _SHAPE[1] * wide))
+    return x, (2.0 * top / 10**high, 2.0 * top), high / wide
+
+
+class _Head(NamedTuple):
+    """What stands over a panel."""
+
+    title: str
+    handles: list[Line2D]
+    columns: int
+
+
+def _entries(dataset: xr.Dataset, panel: _Panel) -> _Head:
+    """A mark and a value for each case of a panel."""
+    if panel.axis is None:
+        return _Head("", [], 1)
+    blues, reds = (shades(name, len(panel.shown)) for name in ("Blues", "Reds"))
+    texts = [shorten(axis_value(dataset, panel.axis, one[panel.axis])) for one in panel.shown]
+    handles = [
+        Line2D([], [], color=blue, marker="s", markersize=5, markerfacecolor=red,
+               markeredgecolor=red, label=legend_text(text))
+        for text, blue, red in zip(texts, blues, reds, strict=True)
+    ]  # fmt: skip
+    longest = max((len(text) for text in texts), default=1)
+    return _Head(axis_title(panel.axis), handles, max(1, min(len(texts), 44 // (longest + 6))))
 
 
 def plot_period(
@@ -236,68 +291,17 @@ def plot_period(
     return panel
 
 
-def _least(dataset: xr.Dataset, well: str) -> float:
-    """Smallest positive change or derivative of the well, Pa."""
-    both = np.concatenate(
-        [
-            dataset[name].sel(well=well).values.ravel()
-            for name in ("pressure_change", "pressure_derivative")
-        ]
-    )
-    return float(np.min(both[both > 0]))
-
-
-def _legend(
-    dataset: xr.Dataset, roles: _Roles, blues: np.ndarray, reds: np.ndarray
-) -> list[Line2D]:
-    def heading(text: str) -> Line2D:
-        return Line2D([], [], linestyle="none", label=legend_text(text))
-
-    handles = [
-        Line2D([], [], color=blues[-1], label="Δp"),
-        Line2D([], [], color=reds[-1], label="dΔp/d ln t"),
-    ]
-    colour, style = roles.names[:2]
-    if colour:
-        handles.append(heading(f"\n{axis_title(colour)}"))
-        for position, blue, red in zip(roles.shown[0], blues, reds, strict=True):
-            text = axis_value(dataset, colour, position)
-            handles.append(
-                Line2D(
-                    [],
-                    [],
-                    color=blue,
-                    marker="s",
-                    markersize=5,
-                    markerfacecolor=red,
-                    markeredgecolor=red,
-                    label=legend_text(text),
-                )
-            )
-    if style:
-        handles.append(heading(f"\n{axis_title(style)}"))
-        for position, dash in zip(roles.shown[1], LINE_STYLES, strict=False):
-            text = axis_value(dataset, style, position)
-            handles.append(Line2D([], [], color=GREY, linestyle=dash, label=legend_text(text)))
-    return handles
-
-
-def _caption(dataset: xr.Dataset, well: str, roles: _Roles, drawn: int) -> str:
+def _caption(dataset: xr.Dataset, well: str, panels: list[_Panel], held: Index) -> str:
     window = float(dataset["pressure_derivative"].attrs.get("smoothing_window", SMOOTHING))
-    parts = [f"Pressure change and its Bourdet derivative at {well}, {drawn} cases"]
-    chosen = [
-        f"{axis_title(name)} {', '.join(axis_value(dataset, name, i) for i in shown)}"
-        for name, shown in zip(roles.names, roles.shown, strict=True)
-        if name and len(shown) < dataset.sizes[name]
-    ]
-    chosen += [
-        f"{axis_title(name)} {axis_value(dataset, name, position)}"
-        for name, position in roles.held.items()
-        if dataset.sizes[name] > 1
-    ]
-    if chosen:
-        parts.append(f"of more; drawn are {'; '.join(chosen)}")
-    text = " ".join(parts) + f". Smoothing of the derivative L = {window:g} (natural-log units)."
+    drawn = {tuple(index.items()) for panel in panels for index in panel.shown}
+    text = f"Pressure change (blue) and its Bourdet derivative (red) at {well}, {len(drawn)}"
+    total = sum(1 for _ in done(dataset))
+    text += f" of {total} cases" if total > len(drawn) else " cases" if total > 1 else " case"
+    if len(panels) > 1 or total > len(drawn):
+        told = "each panel varies one axis, the others are at " if len(panels) > 1 else ""
+        told += case_title(dataset, held) if told else "values in between are left out"
+        text += f": {told}"
+    text += f". Smoothing of the derivative L = {window:g} (natural-log units)."
     if shut_in(dataset, well):
         text += (
             " The derivative of a shut-in is taken by its equivalent time, t_p Δt / (t_p + Δt) "

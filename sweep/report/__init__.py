@@ -16,9 +16,8 @@ import xarray as xr
 from markdown_it import MarkdownIt
 from markupsafe import Markup
 
-from demflow.sweep.analysis.cases import Index
-from demflow.sweep.dataset.open import open_case
-from demflow.sweep.figures import representative_cases
+from demflow.sweep.analysis.compare import MapsOf
+from demflow.sweep.figures import maps_reader, representative_cases
 from demflow.sweep.report.carried import MOST_CASES, carried, cases_with_maps
 from demflow.sweep.report.html import escape, visible
 from demflow.sweep.report.promises import promises
@@ -38,7 +37,11 @@ catch { Object.defineProperty(navigator, "language", { value: "en" }); }
 
 
 def write_report(
-    dataset: xr.Dataset, results_dir: Path, study: Study, figure_paths: Sequence[Path]
+    dataset: xr.Dataset,
+    results_dir: Path,
+    study: Study,
+    figure_paths: Sequence[Path],
+    maps_of: MapsOf | None = None,
 ) -> Path:
     """Write `results_dir/report.html`, which needs no network, and no file but its pictures.
 
@@ -49,6 +52,7 @@ def write_report(
     study : the study, for its title, axes and text.
     figure_paths : PNG files from `sweep.figures.write_figures`, in the order of the page, which
         shows them from where they lie; the CSV files beside them (`NAME_*.csv`) become tables.
+    maps_of : reads the maps of a case, where others read them too.
 
     Returns
     -------
@@ -56,7 +60,7 @@ def write_report(
     """
     folder = Path(results_dir)
     path = folder / "report.html"
-    data = _data(dataset, folder, study)
+    data = _data(dataset, study, maps_of or maps_reader(dataset, folder))
     script = _LANGUAGE + _text("vendor/uPlot.iife.min.js") + "\n" + _text("page.js")
     page = _template().render(
         policy=_policy(script),
@@ -81,13 +85,8 @@ def write_report(
     return path
 
 
-def _data(dataset: xr.Dataset, folder: Path, study: Study) -> Any:
+def _data(dataset: xr.Dataset, study: Study, maps_of: MapsOf) -> Any:
     """What the page carries to answer questions."""
-
-    def maps_of(index: Index) -> xr.Dataset:
-        values = {axis: dataset[axis].values[at].item() for axis, at in index.items()}
-        return open_case(folder, **values)
-
     if not (dataset["status"].values == 0).any():
         return None
     return carried(dataset, study, cases_with_maps(dataset, representative_cases(dataset)), maps_of)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import demflow.sweep.figures as figures
-import demflow.sweep.report as report
 from demflow import sweep
 from demflow.model.outcome import Status
 from demflow.sweep.figures.maps import polygons
@@ -64,10 +63,9 @@ def made(tmp_path, monkeypatch):
         study = study_of(text, tmp_path)
         dataset = invented_dataset(study)
         change(dataset)
-        for module in (figures, report):
-            monkeypatch.setattr(
-                module, "open_case", lambda folder, **at: invented_maps(study, (0,) * len(at), 2.4)
-            )
+        monkeypatch.setattr(
+            figures, "open_case", lambda folder, **at: invented_maps(study, (0,) * len(at), 2.4)
+        )
         paths = figures.write_figures(dataset, tmp_path, study).paths if draw else []
         path = write_report(dataset, tmp_path, study, paths)
         assert path == tmp_path / "report.html"
