@@ -213,6 +213,91 @@ class Results:
             }
         )
 
+    def plot_along(self, of: str | xr.DataArray, axis: str, ax: Axes | None = None) -> Axes:
+        """Draw a number against an axis of the study; return the axes.
+
+        The line is the mean over the other axes (geometric where all is above zero), the band from
+        the least to the greatest, such as over packings.
+
+        Parameters
+        ----------
+        of : a variable with one number a case, or such an array made of some.
+        axis : of the study.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        """
+        from demflow.sweep.figures.permeability import place_axis, plot_along, tick_names
+
+        values = self._numbers(of)
+        if axis not in values.dims:
+            there = ", ".join(map(str, values.dims)) or "none"
+            raise ResultsError(f"{axis} is no axis of it; they are {there}")
+        panel = plot_along(self._dataset, values, axis, _axes(ax))
+        place_axis(panel, self._dataset, axis, tick_names(self._dataset, axis))
+        return panel
+
+    def plot_over(
+        self, of: str | xr.DataArray, x: str, y: str, ax: Axes | None = None, *, bar: bool = True
+    ) -> Axes:
+        """Draw a number over two axes of the study as colours, means over the others.
+
+        Parameters
+        ----------
+        of : a variable with one number a case, or such an array made of some.
+        x, y : axes of the study.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        bar : with a colour bar.
+        """
+        from demflow.sweep.figures.two_axes import plot_over
+
+        panel = plot_over(self._dataset, self._numbers(of), x, y, _axes(ax))
+        return _with_bar(panel, panel.images[0]) if bar else panel
+
+    def plot_ellipses(self, x: str, y: str, ax: Axes | None = None) -> Axes:
+        """Draw permeability tensors over two axes of the study as ellipses; return the axes."""
+        from demflow.sweep.figures.two_axes import plot_ellipses
+
+        return plot_ellipses(self._dataset, x, y, _axes(ax))
+
+    def plot_topology(self, ax: Axes | None = None) -> Axes:
+        """Draw the parts of I, Y and X nodes of the fractures of each case; return the axes."""
+        from demflow.sweep.figures.traces import plot_topology
+
+        return plot_topology(self._dataset, _axes(ax))
+
+    def plot_rose(self, ax: Axes | None = None) -> Axes:
+        """Draw where traces point, of maps that `open_case` gives; return the axes."""
+        from demflow.sweep.figures.traces import plot_rose
+
+        return plot_rose(self._dataset, _axes(ax))
+
+    def plot_lengths(self, ax: Axes | None = None) -> Axes:
+        """Draw how many traces are at least so long, of maps of `open_case`; return the axes."""
+        from demflow.sweep.figures.traces import plot_lengths
+
+        return plot_lengths(self._dataset, _axes(ax))
+
+    def plot_map(
+        self, time: float | None = None, ax: Axes | None = None, *, bar: bool = True
+    ) -> Axes:
+        """Draw pressure over the pores, of maps that `open_case` gives; return the axes.
+
+        Parameters
+        ----------
+        time : s, the nearest recorded one; by default the last.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        bar : with a colour bar.
+        """
+        from demflow.sweep.figures.maps import plot_map
+
+        panel = plot_map(self._dataset, _axes(ax), time)
+        return _with_bar(panel, panel.collections[0]) if bar else panel
+
+    def plot_forces(self, ax: Axes | None = None) -> Axes:
+        """Draw chains of normal forces, of maps that `open_case` gives; return the axes."""
+        from demflow.sweep.figures.holes import plot_forces
+
+        return plot_forces(self._dataset, _axes(ax))
+
     def permeability(self) -> xr.Dataset:
         """Return principal permeabilities, direction and anisotropy of each case."""
         return principal_permeability(self._variable("permeability"))
@@ -265,6 +350,17 @@ class Results:
             raise ResultsError(f"Parquet needs pyarrow: pip install pyarrow ({error})") from None
         return Path(path)
 
+    def _numbers(self, of: str | xr.DataArray) -> xr.DataArray:
+        """One number a case. Raises ResultsError for what has more."""
+        values = self._variable(of) if isinstance(of, str) else of
+        more = [str(d) for d in values.dims if d not in self._variable("status").dims]
+        if more:
+            raise ResultsError(
+                f"{values.name} has more than one number a case, along {', '.join(more)}; choose, "
+                f"as dataset.{values.name}.isel({more[0]}=-1)"
+            )
+        return values
+
     def _variable(self, name: str) -> xr.DataArray:
         if name not in self._dataset:
             there = ", ".join(map(str, self._dataset.data_vars))
@@ -292,6 +388,21 @@ class Results:
             return name
         unit = str(self._dataset[name].attrs.get("units", "1"))
         return name if unit == "1" or not unit else f"{name} [{unit}]"
+
+
+def _axes(ax: Axes | None) -> Axes:
+    if ax is not None:
+        return ax
+    from matplotlib import pyplot
+
+    return pyplot.gca()
+
+
+def _with_bar(panel: Axes, colours: Any) -> Axes:
+    figure = panel.get_figure(root=True)
+    assert figure is not None
+    figure.colorbar(colours, ax=panel, label=colours.get_label())
+    return panel
 
 
 def _check_unit(unit: str, like: str) -> None:

@@ -35,6 +35,8 @@ from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
 from demflow.sweep.figures.strength import draw_strength
 from demflow.sweep.figures.style import FOR_REPORT, Form, house_style
+from demflow.sweep.figures.traces import draw_traces_of
+from demflow.sweep.figures.two_axes import draw_two_axes
 from demflow.sweep.figures.wells import draw_well
 from demflow.sweep.store.written import check_folder, replace_files
 from demflow.sweep.study.cases import case_at
@@ -157,6 +159,11 @@ def _draw(
         seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
         if "permeability" in dataset:
             drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
+        drawn.append(draw_two_axes(dataset, folder / "permeability_over.png"))
+        if "network_nodes_i" in dataset:
+            index = corners[0]
+            title = f"{study.title}\n{case_title(dataset, index)}".strip()
+            drawn.append(draw_traces_of(dataset, maps_of(index), title, folder / "traces.png"))
         drawn.append(draw_sensitivity(dataset, folder / "sensitivity.png"))
         drawn.append(draw_strength(dataset, folder / "strength.png", seeds))
         drawn.append(draw_failure(dataset, maps_of, folder / "stress_strain.png", seeds))

@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 
 from demflow.model.region import bounding_box
 from demflow.model.scene import Scene
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.maps import rims
 from demflow.sweep.figures.style import (
     BLACK,
@@ -29,6 +31,40 @@ MOST_CURVES = 12
 WIDEST = 0.6  # of a mean radius, the width of a force at the 99th percentile
 
 
+def plot_forces(maps: xr.Dataset, panel: Axes, widest: float = 2.5) -> Axes:
+    """Draw normal forces at contacts as lines between the grains' centres; return the axes.
+
+    The width of a line is its force, up to the 99th percentile; tension is red.
+
+    Parameters
+    ----------
+    maps : of one case that observes `grain_map`, as `open_case` gives them
+    panel : where to draw
+    widest : points
+
+    Raises ResultsError where no forces were mapped.
+    """
+    if "normal_force" not in maps:
+        raise ResultsError("the maps hold no forces: observe grain_map")
+    centres = np.stack([maps["grain_x"].values, maps["grain_y"].values], axis=1)
+    ends = np.stack([maps["grain_a"].values, maps["grain_b"].values], axis=1)
+    force = maps["normal_force"].values
+    most = max(float(np.percentile(np.abs(force), 99.0)), 1e-300)
+    for pulls, colour in ((False, BLACK), (True, VERMILION)):
+        drawn = (force < 0.0) == pulls
+        lines = LineCollection(
+            centres[ends[drawn]],
+            colors=colour,
+            linewidths=widest * np.minimum(np.abs(force[drawn]) / most, 1.5),
+            capstyle="round",
+        )
+        panel.add_collection(lines)
+    panel.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    panel.autoscale_view()
+    panel.grid(False)
+    return panel
+
+
 def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Path:
     """Normal forces at the contacts of a rock with holes, as lines between the grains' centres.
 
@@ -39,10 +75,7 @@ def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Pat
     heading : what tells this case from others.
     path : PNG to write.
     """
-    centres = np.stack([maps["grain_x"].values, maps["grain_y"].values], axis=1)
-    ends = np.stack([maps["grain_a"].values, maps["grain_b"].values], axis=1)
-    force = maps["normal_force"].values
-    most = max(float(np.percentile(np.abs(force), 99.0)), 1e-300)
+    most = max(float(np.percentile(np.abs(maps["normal_force"].values), 99.0)), 1e-300)
     xmin, xmax, ymin, ymax = bounding_box(scene.region)
     aspect = (ymax - ymin) / (xmax - xmin)
     wide = 6.2
@@ -50,15 +83,8 @@ def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Pat
     widest = WIDEST * float(maps["radius"].mean()) * 72.0 * wide / (xmax - xmin)
     panel = figure.subplots()
     outline, *_ = [panel.add_patch(rim) for rim in rims(scene)]
-    for pulls, colour in ((False, BLACK), (True, VERMILION)):
-        drawn = (force < 0.0) == pulls
-        lines = LineCollection(
-            list(centres[ends[drawn]]),
-            colors=colour,
-            linewidths=widest * np.minimum(np.abs(force[drawn]) / most, 1.5),
-            capstyle="round",
-        )
-        panel.add_collection(lines)
+    plot_forces(maps, panel, widest)
+    for lines in panel.collections:
         lines.set_clip_path(outline)
     panel.set(xlim=(xmin, xmax), ylim=(ymin, ymax), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     panel.grid(False)

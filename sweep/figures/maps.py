@@ -11,7 +11,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle as CirclePatch
@@ -23,6 +23,7 @@ from PIL import Image, ImageDraw
 from demflow.model.region import Circle, bounding_box, contains, parts_of
 from demflow.model.scene import Fracture, Scene, lines_of
 from demflow.sweep.analysis.cases import display, with_unit
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     BLACK,
     SEQUENTIAL,
@@ -238,6 +239,39 @@ def draw_maps(
     if any(beyond):
         caption += f" Colours end at the percentiles {CLIP[0]:g} and {CLIP[1]:g}."
     return save(figure, path, caption)
+
+
+def plot_map(maps: xr.Dataset, panel: Axes, time: float | None = None) -> Axes:
+    """Draw pressure over the pores with fractures and wells; return the axes.
+
+    The colours are those of `panel.collections[0]`, for a colour bar.
+
+    Parameters
+    ----------
+    maps : of one case, as `open_case` gives them
+    panel : where to draw
+    time : s, the nearest recorded one; by default the last
+
+    Raises ResultsError where no pressure was mapped.
+    """
+    if "pressure" not in maps:
+        raise ResultsError("the maps hold no pressure: observe pressure_map")
+    pressure, title = maps["pressure"], "steady state"
+    if "elapsed_time" in pressure.dims:
+        times = maps["elapsed_time"].values
+        k = len(times) - 1 if time is None else int(np.argmin(np.abs(times - time)))
+        pressure, title = pressure.isel(elapsed_time=k), f"t = {with_unit(times[k], 's')}"
+    factor, name = label("pressure", pressure.values)
+    values = pressure.values * factor
+    norm = Normalize(*colour_limits(values))
+    draw_pores(panel, pores_on_pixels(maps), values, norm)
+    colours = PolyCollection([], array=[], cmap=SEQUENTIAL, norm=norm, label=name)
+    panel.add_collection(colours, autolim=False)
+    draw_traces(panel, maps)
+    draw_wells(panel, maps)
+    panel.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
+    panel.grid(False)
+    return panel
 
 
 def rims(scene: Scene) -> list[Patch]:

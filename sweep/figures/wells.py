@@ -111,7 +111,7 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     room = 0.2 + 0.17 * max(-(-len(head.handles) // head.columns) for head in heads)
     figure, panels = fixed_panels(
         rows, beside_each_other, (width, width * shape),
-        between=(0.25, room + 0.12), margins=(0.75, 0.2, 0.6, room + 0.32), shown=len(shown),
+        between=(0.25, room + 0.12), margins=(0.75, 0.2, 0.6, room + 0.42), shown=len(shown),
     )  # fmt: skip
     for panel, drawn_there, head in zip(panels, lines, heads, strict=True):
         _draw_panel(panel, drawn_there, head, (time_factor, factor))

@@ -1,0 +1,151 @@
+"""Figures on axes of the caller's: each shows the numbers that it was given."""
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+import xarray as xr
+from matplotlib.collections import LineCollection
+from matplotlib.patches import Ellipse, Wedge
+
+import demflow.sweep.accessor  # noqa: F401 -- registers `dataset.demflow`
+from demflow.sweep.errors import ResultsError
+from demflow.sweep.figures.style import Form, house_style
+from demflow.sweep.figures.traces import draw_traces_of
+from demflow.sweep.figures.two_axes import draw_two_axes
+from demflow.sweep.study.units import parse_unit
+
+RNG = np.random.default_rng(7)
+MD = float(parse_unit("mD").factor)
+
+
+@pytest.fixture
+def panel():
+    figure, axes = plt.subplots()
+    yield axes
+    plt.close(figure)
+
+
+def study(angles=4, seeds=3):
+    """Tensors turned by an angle, larger from seed to seed; the last case failed."""
+    angle = np.linspace(0.0, 67.5, angles)
+    tensor = np.empty((angles, seeds, 2, 2))
+    for i, a in enumerate(np.radians(angle)):
+        turn = np.array([[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]])
+        for j in range(seeds):
+            tensor[i, j] = (1 + j) * MD * turn @ np.diag([4.0, 1.0]) @ turn.T
+    status = np.zeros((angles, seeds), dtype=int)
+    status[-1, -1], tensor[-1, -1] = 1, np.nan
+    counts = RNG.integers(1, 40, (3, angles, seeds))
+    names = ("network_nodes_i", "network_nodes_y", "network_nodes_x")
+    return xr.Dataset(
+        {
+            "status": (("angle", "seed"), status),
+            "permeability": (("angle", "seed", "row", "column"), tensor, {"units": "m2"}),
+        }
+        | {n: (("angle", "seed"), c) for n, c in zip(names, counts, strict=True)},
+        {"angle": ("angle", angle, {"units": "degree"}), "seed": np.arange(seeds)},
+    )
+
+
+def traces(angle, length):
+    a = np.radians(angle)
+    begin = RNG.normal(size=(len(angle), 2))
+    end = begin + (length * np.stack([np.cos(a), np.sin(a)])).T
+    names = ("trace_from_x", "trace_from_y", "trace_to_x", "trace_to_y")
+    places = (*begin.T, *end.T)
+    return xr.Dataset({n: ("trace", v) for n, v in zip(names, places, strict=True)})
+
+
+def test_a_line_is_the_mean_and_the_band_all_values(panel):
+    dataset = study()
+    k = dataset.permeability.isel(row=0, column=0)
+    assert dataset.demflow.plot_along(k, "angle", panel) is panel
+    mean = np.exp(np.log(k / MD).mean("seed"))
+    np.testing.assert_allclose(panel.lines[-1].get_ydata(), mean, rtol=1e-12)
+    np.testing.assert_allclose(panel.lines[-1].get_xdata(), dataset.angle)
+    assert panel.get_ylabel() == "permeability (mD)"
+
+
+def test_colours_over_two_axes_are_the_values(panel):
+    dataset = study()
+    k = dataset.permeability.isel(row=1, column=1)
+    dataset.demflow.plot_over(k, "seed", "angle", panel)
+    shown = panel.images[0].get_array()
+    np.testing.assert_allclose(shown.filled(np.nan), k / MD, rtol=1e-12)
+    with pytest.raises(ResultsError, match="two of the axes"):
+        dataset.demflow.plot_over(k, "angle", "angle", panel)
+    with pytest.raises(ResultsError, match="along row, column"):
+        dataset.demflow.plot_over("permeability", "seed", "angle", panel)
+
+
+def test_ellipses_are_the_tensors(panel):
+    dataset = study()
+    dataset.demflow.plot_ellipses("seed", "angle", panel)
+    found = [one for one in panel.patches if isinstance(one, Ellipse)]
+    assert len(found) == 11  # one case failed
+    for one in found:
+        column, row = map(round, one.center)
+        assert one.angle == pytest.approx(float(dataset.angle[row]), abs=1e-9)
+        assert one.width / one.height == pytest.approx(4.0)
+        assert one.width == pytest.approx(0.9 * (1 + column) / 3)
+
+
+def test_areas_of_a_rose_are_parts_of_the_length(panel):
+    angle, length = RNG.uniform(-360.0, 360.0, 500), RNG.uniform(1.0, 9.0, 500)
+    traces(angle, length).demflow.plot_rose(panel)
+    sectors = [one for one in panel.patches if isinstance(one, Wedge)]
+    area = np.array([np.pi * one.r**2 * (one.theta2 - one.theta1) / 360 for one in sectors])
+    for one, part in zip(sectors, area / area.sum(), strict=True):
+        inside = (angle - one.theta1) % 180.0 < one.theta2 - one.theta1
+        assert part == pytest.approx(length[inside].sum() / length.sum() / 2, rel=1e-9)
+
+
+def test_as_many_traces_are_as_long_as_is_shown(panel):
+    length = RNG.pareto(1.5, 200) + 1.0
+    traces(RNG.uniform(0, 180, 200), length).demflow.plot_lengths(panel)
+    x, y = panel.lines[0].get_data()
+    np.testing.assert_array_equal(y, [np.sum(length >= one * (1 - 1e-9)) for one in x])
+    with pytest.raises(ResultsError, match="no traces"):
+        xr.Dataset().demflow.plot_rose(panel)
+
+
+def test_nodes_lie_at_their_parts_of_the_triangle(panel):
+    dataset = study()
+    dataset.demflow.plot_topology(panel)
+    x, y = panel.lines[-1].get_data()
+    good = dataset.status.values == 0
+    i, _, cross = (dataset[f"network_nodes_{n}"].values[good] for n in "iyx")
+    total = sum(dataset[f"network_nodes_{n}"].values[good] for n in "iyx")
+    np.testing.assert_allclose(y, 0.75**0.5 * i / total)
+    np.testing.assert_allclose(x, cross / total + 0.5 * i / total)
+
+
+def test_chains_lie_between_grains_and_are_as_wide_as_their_force(panel):
+    force = np.array([1.0, 3.0, -2.0])
+    maps = xr.Dataset(
+        {
+            "grain_x": ("grain", [0.0, 1.0, 3.0]), "grain_y": ("grain", [0.0, 2.0, 0.5]),
+            "grain_a": ("contact", [0, 1, 0]), "grain_b": ("contact", [1, 2, 2]),
+            "normal_force": ("contact", force),
+        }
+    )  # fmt: skip
+    maps.demflow.plot_forces(panel)
+    pressed, pulled = (c for c in panel.collections if isinstance(c, LineCollection))
+    np.testing.assert_array_equal(pressed.get_segments()[1], [[1.0, 2.0], [3.0, 0.5]])
+    widths = np.array([*pressed.get_linewidths(), *pulled.get_linewidths()])
+    np.testing.assert_allclose(widths / widths[0], [1.0, 3.0, 2.0])
+    assert len(pulled.get_segments()) == 1
+
+
+@pytest.mark.parametrize("form", [Form(), Form("svg", "column"), Form("pdf", "page")])
+def test_same_data_give_the_same_bytes(tmp_path, form):
+    dataset, maps = study(), traces(RNG.uniform(0, 180, 30), RNG.uniform(1, 5, 30))
+    contents = []
+    for k in range(2):
+        with house_style(form):
+            drawn = (
+                draw_two_axes(dataset, tmp_path / f"{k}_k.png"),
+                draw_traces_of(dataset, maps, "a title", tmp_path / f"{k}_t.png"),
+            )
+        contents.append([path.read_bytes() for path in drawn])
+    assert contents[0] == contents[1]
