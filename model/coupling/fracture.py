@@ -245,7 +245,7 @@ class _Recorder:
             return np.empty((0, 0))
         net, viscosity = self.given.network, self.viscosity
         apertures = uniform(net, 1.0, viscosity)._replace(
-            conductance=pipe_conductance(self._apertures(state), net.pipe_length, viscosity)
+            conductance=pipe_conductance(self._apertures(state), self.given.pipe_length, viscosity)
         )
         return permeability(net, apertures, viscosity=viscosity)
 
@@ -254,7 +254,7 @@ class _Recorder:
         case, given = self.case, self.given
         net, side = given.network, given.side
         found = borne(case.skeleton, state.hold, state.u)
-        aperture = np.full(len(net.pipe_from), float(case.conduits.wide.max(initial=0.0)))
+        aperture = given.unopened.copy()
         within = (side[net.pipe_from] < 0) & (side[net.pipe_to] < 0)
         aperture[within] = openings(case, state.hold, found)[0].wide
         return aperture

@@ -65,6 +65,8 @@ class Setting(NamedTuple):
     grains: Array  # (n,) bool: those that are left and bear load
     box: Array  # (4,) m of the packing
     area: float  # of the box, in units of the case
+    pipe_length: Array  # (pipes,) m: of the network's pipes, as long as they are
+    unopened: Array  # (pipes,) m: their apertures at no force and no gap
 
 
 def setting(
@@ -117,8 +119,18 @@ def setting(
     pore, rim = np.flatnonzero(side < 0), np.flatnonzero(side >= 0)
     beyond = held[side[rim]] / rock.normal_stiffness
     push = csr_array(gradient[:, pore])
-    conduits, link_side = _conduits(
-        net, side, held, skeleton, wet, rock, np.flatnonzero(~taken), n, unit, unit_permeability
+    conduits, link_side, pipe_length, unopened = _conduits(
+        net,
+        side,
+        held,
+        skeleton,
+        wet,
+        rock,
+        np.flatnonzero(~taken),
+        left.scale,
+        n,
+        unit,
+        unit_permeability,
     )
     well = _well_pores(net, pore, wells)
     storage = net.volume[pore] / unit**2 * rock.normal_stiffness / wet.bulk_modulus
@@ -155,7 +167,19 @@ def setting(
     bears[ends] = True
     area = (box[1] - box[0]) * (box[3] - box[2])
     return Setting(
-        case, hold, u, net, pore, well, link_side, side, bears & ~taken, packing.box, area
+        case,
+        hold,
+        u,
+        net,
+        pore,
+        well,
+        link_side,
+        side,
+        bears & ~taken,
+        packing.box,
+        area,
+        pipe_length,
+        unopened,
     )
 
 
@@ -296,13 +320,14 @@ def _conduits(
     wet: BreakingFluid,
     rock: BreakingRock,
     kept: Array,
+    scale: Array,
     n: int,
     unit: float,
     unit_permeability: Permeability | None,
-) -> tuple[Conduits, Array]:
+) -> tuple[Conduits, Array, Array, Array]:
     """Pipes between the pores that are unknowns, and links to those whose pressure a side keeps.
 
-    `kept` are the numbers of the grains that are left, of n.
+    `kept` are the numbers of the grains that are left, of n, and `scale` their sizes where graded.
     """
     number = np.cumsum(side < 0) - 1
     matrix = wet.matrix
@@ -320,26 +345,40 @@ def _conduits(
     elif matrix.half_stress is not None:
         reach = net.grain_radius[net.pipe_grain_a] + net.grain_radius[net.pipe_grain_b]
         half = matrix.half_stress * reach / (rock.normal_stiffness * unit)
-    factor = rock.normal_stiffness / (unit**2 * 12.0 * wet.viscosity * net.pipe_length)
+    # Where grains are graded, pipes of their lengths conduct as w0 does among the coarse ones; what
+    # opens is as long as it is.
+    own = np.ones(len(contact))
+    if len(scale):
+        known = contact >= 0
+        a, b = net.pipe_grain_a[known], net.pipe_grain_b[known]
+        own[known] = 0.5 * (scale[a] + scale[b])
+    wide = w0 * np.cbrt(own)
+    length = own * net.pipe_length
+    factor = rock.normal_stiffness / (unit**2 * 12.0 * wet.viscosity * length)
     i, j = net.pipe_from, net.pipe_to
     pipe = np.flatnonzero((side[i] < 0) & (side[j] < 0))
     link = np.flatnonzero((side[i] < 0) != (side[j] < 0))
     inner = np.where(side[i] < 0, i, j)[link]
     ends = np.where(side[i] < 0, side[j], side[i])[link]
-    return Conduits(
-        i=number[i[pipe]],
-        j=number[j[pipe]],
-        contact=contact[pipe],
-        wide=np.full(len(pipe), w0),
-        factor=factor[pipe],
-        half_force=half[pipe],
-        link=number[inner],
-        link_contact=contact[link],
-        link_wide=np.full(len(link), w0),
-        link_factor=factor[link],
-        link_half_force=half[link],
-        link_pressure=held[ends] / rock.normal_stiffness,
-    ), ends
+    return (
+        Conduits(
+            i=number[i[pipe]],
+            j=number[j[pipe]],
+            contact=contact[pipe],
+            wide=wide[pipe],
+            factor=factor[pipe],
+            half_force=half[pipe],
+            link=number[inner],
+            link_contact=contact[link],
+            link_wide=wide[link],
+            link_factor=factor[link],
+            link_half_force=half[link],
+            link_pressure=held[ends] / rock.normal_stiffness,
+        ),
+        ends,
+        length,
+        wide,
+    )
 
 
 def _contact_of(skeleton: Skeleton, n: int, a: Array, b: Array) -> Array:

@@ -15,9 +15,11 @@ from demflow.model.coupling.skeleton import (
     load_factors,
     stored_energy,
 )
+from demflow.model.mechanics.packing.packing import pack
 from demflow.model.products import build, named
 from demflow.model.scene import Bonds
-from tests.coupling.bored import BONDS, packed, rock, run, well, wet
+from demflow.model.scene.lines import RefinedPlace
+from tests.coupling.bored import BONDS, REGION, packed, rock, run, well, wet
 
 pytestmark = pytest.mark.slow
 
@@ -206,3 +208,22 @@ def test_a_well_at_a_pressure_gives_what_its_rock_takes():
     rate = kept.let_in[2, 1] - kept.let_in[1, 1]
     assert -kept.well_rate[-1, 0] == pytest.approx(rate, rel=1e-6)
     assert kept.side_flow[-1, 0] == pytest.approx(-rate, rel=1e-6)
+
+
+def test_graded_grains_conduct_as_coarse_ones_until_what_opens_is_as_long_as_it_is():
+    grains = pack(
+        region=REGION, count=250, mean_radius=None, packing="random", radius_ratio=1.66,
+        porosity=0.16, seed=1, specimen=True,
+        refine=(RefinedPlace((0.0, 0.0), (0.0, 0.0), 0.3, 0.4),),
+    )  # fmt: skip
+    assert np.ptp(grains.scale) > 0.4
+    given = setting(grains, None, rock=rock(), wet=wet(), wells=(well(grains, 0.1),))
+    c, net = given.case.conduits, given.network
+    within = (given.side[net.pipe_from] < 0) & (given.side[net.pipe_to] < 0)
+    unit = given.case.unit**2 * 12.0 * 1e-3 / given.case.stiffness
+    np.testing.assert_allclose(
+        c.factor * c.wide**3 * unit, 2e-5**3 / net.pipe_length[within], rtol=1e-12
+    )
+    known = c.contact >= 0
+    reach = net.grain_radius[net.pipe_grain_a] + net.grain_radius[net.pipe_grain_b]
+    np.testing.assert_allclose((c.factor * unit)[known], 1.0 / reach[within][known], rtol=1e-12)
