@@ -18,6 +18,7 @@ import xarray as xr
 from demflow.model.outcome import Status
 from demflow.model.scene import Scene, Well, holes_of
 from demflow.sweep.analysis.cases import Index, axes, case_title, done
+from demflow.sweep.analysis.cases import events as events_of
 from demflow.sweep.analysis.compare import ComparisonError, MapsOf, SceneOf
 from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
 from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
@@ -154,7 +155,8 @@ def _draw(
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()
                 path = folder / f"pressure_map_{k}.png"
                 maps, scene = maps_of(index), scene_of(index)
-                drawn.append(draw_maps(maps, scene, title, path, study.figures.maps, most))
+                broken = events_of(dataset, index) if "event_time" in dataset else None
+                drawn.append(draw_maps(maps, scene, title, path, study.figures.maps, most, broken))
         drawn += _holes(dataset, study, scene_of, maps_of, folder)
         seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
         if "permeability" in dataset:

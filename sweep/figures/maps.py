@@ -166,6 +166,7 @@ def draw_maps(
     path: Path,
     wanted: Sequence[float] | None = None,
     most: int = PANELS,
+    breaks: xr.Dataset | None = None,
 ) -> Path:
     """Pressure over the pores at a few times (or the steady state), one colour bar.
 
@@ -177,6 +178,8 @@ def draw_maps(
     path : PNG to write.
     wanted : times in s; the nearest recorded ones are drawn.
     most : how many times are drawn where none is wanted.
+    breaks : what broke in this case, with `event_time`, `event_x` and `event_y`: those until each
+        time are drawn, the path of the crack.
     """
     transient = "elapsed_time" in maps["pressure"].dims
     if transient:
@@ -184,8 +187,13 @@ def draw_maps(
         chosen = map_times(times, wanted, most)
         pressure = maps["pressure"].transpose("elapsed_time", "domain").values[chosen]
         titles = [f"t = {with_unit(t, 's')}" for t in times[chosen]]
+        until = times[chosen]
     else:
-        pressure, titles = maps["pressure"].values[None], ["steady state"]
+        pressure, titles, until = (
+            maps["pressure"].values[None],
+            ["steady state"],
+            np.array([np.inf]),
+        )
     pressure, factor, name = _readable(pressure, scene)
     pores = pores_on_pixels(maps)
     low, high = colour_limits(pressure * factor)
@@ -202,7 +210,7 @@ def draw_maps(
         rows, columns, (side / max(aspect / 2.0, 1.0), side * min(aspect, 2.0)),
         between=(0.12, 0.32), margins=(0.7, 1.15, 0.55, 0.3 + over), shown=len(titles),
     )  # fmt: skip
-    for panel, field, title in zip(panels, pressure, titles, strict=True):
+    for panel, field, title, time in zip(panels, pressure, titles, until, strict=True):
         outline, *_ = [panel.add_patch(rim) for rim in rims(scene)]
         image = draw_pores(panel, pores, field * factor, norm)
         image.set_clip_path(outline)
@@ -211,6 +219,8 @@ def draw_maps(
         _barriers(panel, scene)
         for collection in panel.collections:
             collection.set_clip_path(outline)
+        if breaks is not None:
+            _breaks(panel, breaks, time)
         draw_wells(panel, maps)
         panel.set(
             xlim=(xmin - margin, xmax + margin),
@@ -235,6 +245,7 @@ def draw_maps(
     barriers = [_is_barrier(fracture) for fracture in scene.fractures]
     caption += "" if all(barriers) else ", white lines are fractures, the wider the more open"
     caption += ", dashed black lines are barriers" if any(barriers) else ""
+    caption += ", white dots are what broke until then" if breaks is not None else ""
     caption += ", wells are circles." if scene.wells else "."
     if any(beyond):
         caption += f" Colours end at the percentiles {CLIP[0]:g} and {CLIP[1]:g}."
@@ -333,6 +344,20 @@ def draw_traces(panel: Axes, maps: xr.Dataset) -> None:
         lines = LineCollection(segments, colors=colour, linewidths=widths + more, zorder=3)
         lines.set_capstyle("round")
         panel.add_collection(lines)
+
+
+def _breaks(panel: Axes, breaks: xr.Dataset, time: float) -> None:
+    """The breaks until a time, s."""
+    until = breaks["event_time"].values <= time
+    panel.scatter(
+        breaks["event_x"].values[until],
+        breaks["event_y"].values[until],
+        s=7.0,
+        color="white",
+        edgecolors=BLACK,
+        linewidths=0.4,
+        zorder=4.5,
+    )
 
 
 def _is_barrier(fracture: Fracture) -> bool:

@@ -6,7 +6,9 @@ import re
 import matplotlib
 import numpy as np
 import pytest
+import xarray as xr
 from matplotlib import colormaps
+from matplotlib.collections import PathCollection
 from matplotlib.colors import Normalize
 from PIL import Image
 
@@ -156,6 +158,37 @@ def test_a_study_without_axes_and_without_times(results):
     with house_style():
         path = map_figures.draw_maps(maps, case_at(steady, []).scene, "steady", folder / "m.png")
     assert "steady state" in caption(path)
+
+
+def test_map_shows_what_broke_until_its_time(results, monkeypatch):
+    study, _, folder = results(RADIAL)
+    scene = case_at(study, (0,)).scene
+    maps = invented_maps(study, (0,), spacing=2.4)
+    kept = []
+    monkeypatch.setattr(map_figures, "save", lambda figure, path, text: kept.append((figure, text)))
+    breaks = xr.Dataset(
+        {
+            "event_time": ("event", [5.0, 130.0, 1e9]),
+            "event_x": ("event", [1.0, 2.0, 3.0]),
+            "event_y": ("event", [-1.0, -2.0, -3.0]),
+        }
+    )
+    with house_style():
+        for broken in (breaks, None):
+            map_figures.draw_maps(
+                maps, scene, "one", folder / "m.png", (2753.0, 121.0), breaks=broken
+            )
+    (figure, text), (_, without) = kept
+    panels = [a for a in figure.axes if a.get_title().startswith("t = ")]
+    drawn = [
+        c.get_offsets().tolist()
+        for panel in panels
+        for c in panel.collections
+        if isinstance(c, PathCollection)
+    ]
+    assert drawn == [[[1.0, -1.0]], [[1.0, -1.0], [2.0, -2.0]]]
+    assert "white dots" in text
+    assert "white dots" not in without
 
 
 def test_map_shows_each_pore_in_its_own_colour(results, monkeypatch):
