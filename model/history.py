@@ -76,7 +76,10 @@ def marched(fractured: Fracturing, controls: Controls) -> History:
     """The history of a march through breaking bonds; NaN after it came to an early end."""
     kept, t, sides = fractured.records, len(controls.times), len(controls.side_pressures)
     rows = {name: until(getattr(kept, name), t) for name in kept._fields}
-    moved = np.abs(kept.stored) + np.abs(kept.injected) + np.abs(kept.let_in).sum(axis=1)
+    put_in = np.abs(kept.injected) + np.abs(kept.let_in).sum(axis=1)
+    # what is stored before anything enters is rounding, held against what moves later
+    most = float((np.abs(kept.stored) + put_in).max(initial=0.0)) if np.any(put_in > 0.0) else 0.0
+    moved = np.where(put_in > 0.0, np.abs(kept.stored) + put_in, most)
     changes = change_times(sites(controls.wells))
     before = np.full((len(controls.wells), len(changes)), np.nan)
     before[:, 0] = controls.initial

@@ -24,7 +24,7 @@ from demflow.model.scene import (
     Well,
 )
 from demflow.model.scene.coupling import Coupling
-from demflow.model.stages import STAGES, run_stages
+from demflow.model.stages import STAGES, run_stages, simulate
 
 WELL = Well(name="w", at=(0.0, 0.0), radius=0.17, schedule=((0.0, -5e-3), (0.3, 0.0), (0.4, -5e-3)))
 SCENE = Scene(
@@ -133,3 +133,19 @@ def test_scenes_without_it_have_no_trace_of_it():
         SCENE, coupling=None, observe=("well_pressure",), times=(0.1,), fractures=()
     )
     assert not stage.wanted(still)
+
+
+def test_a_well_that_begins_later_leaves_the_balance_of_mass_judged():
+    """Before anything enters, what the pores store is rounding."""
+    later = dataclasses.replace(WELL, rate=None, schedule=((0.0, 0.0), (0.1, -1e-4)))
+    found = simulate(
+        dataclasses.replace(
+            SCENE,
+            wells=(later,),
+            boundaries=(),
+            times=(0.05, 0.1, 0.15),
+            probes=(),
+            observe=("well_pressure",),
+        )
+    )
+    assert float(found["mass_balance_error"]) < 1e-12
