@@ -25,16 +25,7 @@ from typing import Any, NamedTuple
 
 from demflow.sweep.command import cli
 from tests.benchmarks.result import Result
-from tests.sweep.damaged_studies import (
-    DRAWN,
-    FILES,
-    FITTED,
-    MODELLED,
-    STUDIES,
-    beside,
-    damaged,
-    studies,
-)
+from tests.sweep.damaged_studies import FILES, STUDIES, beside, damaged, studies, text
 
 COUNT, SECONDS, MEGABYTES = 50_000, 1.0, 200.0
 LONGEST = 200_000  # characters that a check may say
@@ -78,13 +69,18 @@ def checked(path: Path) -> Checked:
     return Checked(fault, status == 0, seconds)
 
 
-def load_modules(folder: Path) -> None:
+def load_modules(good: list[Any], folder: Path) -> None:
     """Load what a check takes from libraries, which takes a process longer than most checks."""
-    for text in (DRAWN, FITTED, MODELLED):
-        (folder / "study.yaml").write_text(text)
-        for name, content in FILES.items():
-            (folder / name).write_bytes(content)
+    for name, content in FILES.items():
+        (folder / name).write_bytes(content)
+    for tree in good:
+        (folder / "study.yaml").write_text(text(tree, random.Random(0)))
         checked(folder / "study.yaml")
+
+
+def peak_memory() -> float:
+    """Most memory that this process has had, MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
 def run(count: int = COUNT, seed: int = 1) -> Result:
@@ -94,20 +90,24 @@ def run(count: int = COUNT, seed: int = 1) -> Result:
     slowest, valid = (0.0, 0), 0
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "maps").symlink_to(STUDIES / "maps")
-        load_modules(Path(folder))
+        load_modules(good, Path(folder))
+        highest = (peak_memory(), -1)
         for number in range(count):
             one = checked(written(good, seed, number, Path(folder)))
             slowest = max(slowest, (one.seconds, number))
             valid += one.valid
+            if peak_memory() > highest[0]:
+                highest = (peak_memory(), number)
             if one.fault:
                 faults.append(f"number {number}: {one.fault}")
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     lines = [f"{count} studies, seed {seed}: {valid} valid", *faults[:20]]
-    lines.append(f"slowest: number {slowest[1]}, {slowest[0]:.2f} s; peak {peak:.0f} MB")
+    lines.append(f"slowest: number {slowest[1]}, {slowest[0]:.2f} s")
+    lines.append(f"most memory: number {highest[1]}, {highest[0]:.0f} MB")
+    ends = f"{len(faults)} of {count} without a clean end"
     return Result(
-        f"{len(faults)} of {count} without a clean end; at most {slowest[0]:.2f} s, {peak:.0f} MB",
+        f"{ends}; at most {slowest[0]:.2f} s, {highest[0]:.0f} MB",
         f"0; {SECONDS:g} s, {MEGABYTES:g} MB",
-        not faults and slowest[0] <= SECONDS and peak <= MEGABYTES,
+        not faults and slowest[0] <= SECONDS and highest[0] <= MEGABYTES,
         "\n".join(lines),
     )
 

@@ -310,7 +310,7 @@ def _nudged(tree: Any, chance: random.Random) -> None:
             value = chance.choice((-1.0, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1000.0)) * float(number)
         except ValueError:
             return
-        whole = number.isdigit() and chance.random() < 0.9
+        whole = number.isdigit() and len(number) < 18 and chance.random() < 0.9
         inside[key] = f"{round(value) if whole else f'{value:.6g}'} {unit}".strip()
 
 
