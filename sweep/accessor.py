@@ -19,6 +19,7 @@ from demflow.model.transient import SMOOTHING, bourdet_derivative
 from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.analysis.sensitivity import sensitivity
 from demflow.sweep.dataset.open import open_results, same_value
+from demflow.sweep.dataset.ragged import count_name
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.study.reservoir import Rock
 from demflow.sweep.study.units import UnitError, parse_unit
@@ -309,12 +310,15 @@ class Results:
     def to_dataframe(self, names: str | Sequence[str] | None = None) -> pd.DataFrame:
         """Return variables as a table with a row for each case and place; names carry units.
 
+        Rows of what cases have many of, as events, bear the values of their case on the axes.
+
         Parameters
         ----------
         names : variables that lie along the same dimensions; by default all that lie along the
             axes of the study alone.
 
-        Raises ResultsError where they do not.
+        Raises ResultsError where they do not, or where events are those of other cases than the
+        dataset holds.
         """
         if names is None:
             axes = self._variable("status").dims
@@ -334,7 +338,11 @@ class Results:
 
             table = pd.DataFrame(row)
         else:
+            along = {str(name) for dimensions in shapes for name in dimensions}
             table = xr.Dataset(variables).to_dataframe().reset_index()
+            for dimension in along:
+                for place, (axis, values) in enumerate(self._cases_along(dimension).items()):
+                    table.insert(place, axis, values)
         return table.rename(columns=self._named)
 
     def to_csv(self, path: str | Path, names: str | Sequence[str] | None = None) -> Path:
@@ -366,6 +374,26 @@ class Results:
             there = ", ".join(map(str, self._dataset.data_vars))
             raise ResultsError(f"the dataset has no {name}; it has {there}")
         return self._dataset[name]
+
+    def _cases_along(self, dimension: str) -> dict[str, np.ndarray]:
+        """Values of the axes along a dimension on which cases stand one after the other; else {}.
+
+        Raises ResultsError where the counts of the cases do not add up to what is there.
+        """
+        counts = self._dataset.get(count_name(dimension))
+        if counts is None or counts.attrs.get("sample_dimension") != dimension:
+            return {}
+        cases = np.repeat(np.arange(counts.size), counts.values.ravel())
+        if len(cases) != self._dataset.sizes[dimension]:
+            raise ResultsError(
+                f"each {dimension} belongs to a case by the {counts.name} of all of them, and the "
+                "dataset holds some of them only; make the table of the whole dataset"
+            )
+        places = np.unravel_index(cases, counts.shape) if counts.dims else ()
+        return {
+            str(axis): self._dataset[axis].values[at]
+            for axis, at in zip(counts.dims, places, strict=True)
+        }
 
     def _check_rates(self, change: xr.DataArray) -> None:
         """Raise ResultsError where the rate of a well with a pressure change is not one."""

@@ -1,9 +1,10 @@
 """Random valid studies run to their page, whichever of their cases fail.
 
-Shipped studies, small, in which a few numbers are changed at random by up to three times, as far as
-they stay valid. Each is run as a user would and fails where it must; then random patterns of its
-cases are taken for failed, and its figures and page drawn anew from what is left. STUDIES of them,
-each with PATTERNS patterns, from SEED.
+Shipped studies, of a few dozen grains and a time per decade, in which a few numbers are changed at
+random by up to three times, as far as they stay valid. Each is run as a user would, on workers that
+stay, and fails where it must; then random patterns of its cases are taken for failed, and its
+figures and page drawn anew from what is left. STUDIES of them, each with PATTERNS patterns, from
+SEED.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from unittest import mock
 import numpy as np
 import xarray as xr
 import yaml
+from distributed import LocalCluster
 
 from demflow import sweep
 from demflow.sweep.figures import style, write_figures
@@ -49,6 +51,9 @@ def random_study(number: int, folder: Path) -> Path:
         tree = yaml.load(chance.choice(shipped).read_text(), Loader=yaml.BaseLoader)
         tree["study"] = f"random_{number}"
         tree.setdefault("limits", {})["time"] = "60 s"
+        tree.setdefault("smoke", {})["grains.count"] = chance.choice(("50", "90", "150"))
+        if isinstance(tree["scene"].get("times"), dict):
+            tree["scene"]["times"]["per_decade"] = "1"
         changed = copy.deepcopy(tree)
         spots = [*numbers_of({key: changed[key] for key in ("scene", "vary") if key in changed})]
         for inside, key in chance.sample(spots, min(len(spots), chance.choice((1, 2, 4)))):
@@ -88,13 +93,18 @@ def run() -> Result:
     chance = np.random.default_rng(SEED)
     home = Path(tempfile.mkdtemp(prefix="demflow-bench-"))
     (home / "maps").symlink_to(STUDIES / "maps")
-    with mock.patch.object(style, "DPI", 20), warnings.catch_warnings():
+    with (
+        LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as workers,
+        mock.patch.object(style, "DPI", 20),
+        warnings.catch_warnings(),
+    ):
         warnings.simplefilter("ignore")
         for number in range(COUNT):
             path = random_study(number, home)
             what = f"study {number}"
             try:
-                dataset = sweep.run(path, workers=1, results=home / "results", smoke=True)
+                where = {"scheduler": workers.scheduler_address, "results": home / "results"}
+                dataset = sweep.run(path, smoke=True, **where)
                 study = sweep.load_study(path, smoke=True)
                 pages += 1
                 cases += dataset["status"].size

@@ -125,6 +125,28 @@ def test_a_table_has_a_row_for_each_case_and_all_digits(tmp_path):
         dataset.demflow.permeability()
 
 
+def test_events_bear_the_values_of_their_case():
+    counts = xr.Variable(("rate", "seed"), [[2, 0], [1, 3]], {"sample_dimension": "event"})
+    dataset = xr.Dataset(
+        {
+            "status": (("rate", "seed"), np.zeros((2, 2), dtype=int)),
+            "event_count": counts,
+            "event_time": ("event", np.arange(6.0), {"units": "s"}),
+            "event_x": ("event", np.arange(6.0), {"units": "m"}),
+        },
+        {"rate": ("rate", [1e-6, 2e-6], {"units": "m3 s-1"}), "seed": [7, 8]},
+    )
+    table = dataset.demflow.to_dataframe(["event_time", "event_x"])
+    assert list(table.columns) == [
+        *("rate [m3 s-1]", "seed", "event", "event_time [s]", "event_x [m]")
+    ]
+    assert table["rate [m3 s-1]"].tolist() == [1e-6, 1e-6, 2e-6, 2e-6, 2e-6, 2e-6]
+    assert table["seed"].tolist() == [7, 7, 7, 8, 8, 8]
+    with pytest.raises(ResultsError, match="holds some of them only"):
+        dataset.isel(seed=0).demflow.to_dataframe("event_time")
+    assert len(dataset.isel(rate=0, seed=0).demflow.to_dataframe("status")) == 1
+
+
 def test_studies_stand_side_by_side(tmp_path):
     folders = []
     for name in ("one", "two"):
