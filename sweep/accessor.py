@@ -325,6 +325,8 @@ class Results:
             chosen = [n for n, v in self._dataset.data_vars.items() if v.dims == axes]
         else:
             chosen = [names] if isinstance(names, str) else list(names)
+        if not chosen:
+            raise ResultsError("no variable is named to make a table of")
         variables = {name: self._variable(str(name)) for name in chosen}
         shapes = {variable.dims for variable in variables.values()}
         if len(shapes) > 1:
@@ -354,8 +356,8 @@ class Results:
         """Write what `to_dataframe` gives as Parquet. Raises ResultsError without pyarrow."""
         try:
             self.to_dataframe(names).to_parquet(path, index=False)
-        except ImportError as error:
-            raise ResultsError(f"Parquet needs pyarrow: pip install pyarrow ({error})") from None
+        except ImportError:
+            raise ResultsError("Parquet needs pyarrow: pip install pyarrow") from None
         return Path(path)
 
     def _numbers(self, of: str | xr.DataArray) -> xr.DataArray:

@@ -121,6 +121,8 @@ def test_a_table_has_a_row_for_each_case_and_all_digits(tmp_path):
     assert {"status", "porosity", "drop [Pa]"} <= set(every.columns)
     with pytest.raises(ResultsError, match="lie along the same dimensions"):
         dataset.demflow.to_dataframe(["porosity", "pressure_change"])
+    with pytest.raises(ResultsError, match="no variable is named"):
+        dataset.demflow.to_csv(path, [])
     with pytest.raises(ResultsError, match="has no permeability"):
         dataset.demflow.permeability()
 
