@@ -317,28 +317,36 @@ def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
     """
     total = np.zeros((len(at), *responses.shape[2:]))
     for source, changes in enumerate(steps):
-        if math.isfinite(lag[-1]) and not _kept(lag, changes, at):
+        found = _kept(lag, changes, at)
+        if found is None:
             weights = interpolating(lag, changes, at)
             total += np.tensordot(weights, responses[source], 1)
             continue
-        for time, size in changes:
-            if size == 0.0:
-                continue
-            since = time_since(time, at) if math.isfinite(at[0]) else at
-            acts = since > 0.0
-            total[acts] += size * responses[source, np.searchsorted(lag, since[acts])]
+        for size, acts, place in found:
+            total[acts] += size * responses[source, place]
     return total
 
 
-def _kept(lag: Array, changes: list[tuple[float, float]], at: Array) -> bool:
-    """Whether a response is kept for every time since one of the steps."""
+def _kept(
+    lag: Array, changes: list[tuple[float, float]], at: Array
+) -> list[tuple[float, Array, Array]] | None:
+    """Of each step its size, the times (t,) bool after it and the places of the lags since it.
+
+    None where no response is kept for one of these.
+    """
+    found = []
     for time, size in changes:
-        since = time_since(time, at)
-        wanted = since[(since > 0.0) & (size != 0.0)]
-        near = np.minimum(np.searchsorted(lag, wanted), len(lag) - 1)
-        if not np.array_equal(lag[near], wanted):
-            return False
-    return True
+        if size == 0.0:
+            continue
+        since = time_since(time, at) if math.isfinite(at[0]) else at
+        acts = since > 0.0
+        wanted = since[acts]
+        place = np.searchsorted(lag, wanted)
+        near = np.minimum(place, len(lag) - 1)
+        if math.isfinite(lag[-1]) and not np.array_equal(lag[near], wanted):
+            return None
+        found.append((size, acts, place))
+    return found
 
 
 def started(fields: Array, lag: Array, weights: tuple[float, ...], at: Array) -> Array | float:

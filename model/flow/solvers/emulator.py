@@ -53,11 +53,11 @@ SEED = 20
 
 # Poles of snapshots: from below the inverse of the last time, each so many times the one before,
 # to beyond that of the first; and images taken at each.
-SLOWEST, LADDER, FASTEST = 0.1, 10.0, 10.0
-IMAGES = 3
+SLOWEST, LADDER, FASTEST = 0.1, 30.0, 10.0
+IMAGES = 2
 
 MOST_VECTORS = 240
-MOST_SNAPSHOTS = 40
+MOST_SNAPSHOTS = 60
 MOST_PORTS = 6  # outputs held to the tolerance; each adds its own vectors
 MARGIN = 0.5  # of the tolerance that members which were looked at are brought to
 
