@@ -465,7 +465,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=20,
+        version=21,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows and not s.coupled,
@@ -477,7 +477,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=15,
+        version=16,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,
@@ -495,7 +495,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="consolidate",
         function="demflow.model.coupling.consolidation:consolidate",
-        version=3,
+        version=4,
         parents=("pack", "network", "open"),
         reads={
             "region": lambda s: s.region,
@@ -524,7 +524,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="follow",
         function="demflow.model.coupling.following:follow",
-        version=3,
+        version=4,
         parents=("pack", "network", "walk", "stress", "calibrate"),
         reads={
             "region": lambda s: s.region,
@@ -593,7 +593,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="emulator",
         function="demflow.model.emulation:emulator",
-        version=3,
+        version=4,
         parents=("network", "walk", "stress", "calibrate"),
         reads=_FAMILY_READS,
         wanted=_never,
@@ -605,7 +605,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="emulate",
         function="demflow.model.emulation:emulate",
-        version=3,
+        version=4,
         parents=("pack", "stress", "network", "walk", "calibrate", "emulator"),
         reads={**_FAMILY_READS, "wanted": lambda s: s.observe},
         wanted=_never,

@@ -144,3 +144,16 @@ def test_a_spur_is_a_star_of_three_resistances():
     star = g / np.array([t, 1 - t, s])
     expected = np.diag(star) - np.outer(star, star) / star.sum()
     np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_a_trace_that_points_at_a_well_is_felt_the_more_the_nearer_it_ends(packing):
+    """From a pore away to the wall; within 1e-9 of the radius it meets the well."""
+    radius, falls_ = 0.01, []
+    for gap in (-0.005, 1e-12, 1e-6, 1e-4, 1e-3, 1e-2, 5e-2):
+        trace = Trace(name="t", aperture=3e-4, start=(radius + gap, 0.0), end=(1.5, 0.0))
+        well = Well(name="w", at=(0.0, 0.0), radius=radius, rate=1.0)
+        rock = reservoir(packing, DISC, fractures=(trace,))
+        seen = rock.observed((well,), (("outer", 0.0),), method="steady", record_map=False)
+        falls_.append(-float(seen["well_pressure"][0]))
+    assert falls_[1] == pytest.approx(falls_[0], rel=1e-9)
+    assert np.all(np.diff(falls_[1:]) > 0)

@@ -89,6 +89,40 @@ def test_traces_that_do_not_meet_conduct_nothing(rock):
     assert seen["boundary_flow"][0] == 0.0
 
 
+@pytest.mark.parametrize("shift", [0.0, 1e-12, 1e-3])
+def test_traces_drawn_twice_or_side_by_side_carry_the_sum(shift):
+    """On each other, within round-off of it, and apart within one pore, in part or as a whole."""
+    pair = tuple(
+        Trace(
+            name=f"{k}", aperture=1e-4, start=(-1.5, 0.11 + k * shift), end=(1.5, 0.11 + k * shift)
+        )
+        for k in (0, 1)
+    )
+    made = reservoir(ROCK, BOX, 0.0, pair, viscosity=VISCOSITY)
+    seen = made.observed((), ACROSS, method="steady")
+    expected = 2.0 * transmissivity(1e-4, VISCOSITY) / 2.0
+    assert seen["boundary_flow"][0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_ten_thousand_traces_all_have_their_place():
+    """Each conducts, or is counted as idle because it is shorter than a pore and meets nothing."""
+    rng = np.random.default_rng(1)
+    middle, angle = rng.uniform(-0.65, 0.65, (10_000, 2)), rng.uniform(0, math.pi, 10_000)
+    step = 0.01 * np.column_stack([np.cos(angle), np.sin(angle)])
+    lines = tuple(
+        Trace(name=f"{k}", aperture=1e-4, start=tuple(a), end=tuple(b))
+        for k, (a, b) in enumerate(zip(middle - step, middle + step, strict=True))
+    )
+    made = reservoir(ROCK, BOX, 1e-5, lines, viscosity=VISCOSITY)
+    plain = reservoir(ROCK, BOX, 1e-5, viscosity=VISCOSITY)
+    flows = [m.observed((), ACROSS, method="steady") for m in (made, plain)]
+    acts = made.apertures.trace_acts > 0
+    assert len(acts) == 10_000
+    assert 0.5 < acts.mean() < 1.0
+    assert flows[0]["boundary_flow"][0] > 1.1 * flows[1]["boundary_flow"][0]
+    assert flows[0]["mass_balance_error"] < 1e-12
+
+
 @pytest.mark.parametrize("end", [(1.0, 0.7), (1.3, 0.91), (1.0, 0.6999)])
 def test_a_trace_that_leaves_at_a_corner_meets_the_fixed_side(end):
     trace = (Trace(name="t", aperture=1e-4, start=(-1.0, -0.7), end=end),)

@@ -10,13 +10,16 @@ from demflow.model.products import Apertures
 # The stretch of a branch between a node and a wellbore's wall keeps this part of the branch.
 WALL_FLOOR = 1e-3
 
+# A trace that ends this part of a well's radius before its wall meets it.
+TOUCHES = 1e-9
+
 
 def wells_of_nodes(apertures: Apertures, wells: tuple[WellSite, ...]) -> np.ndarray:
     """The well within whose wall each node of the traces lies, (m,), −1 outside of all."""
     well_of = np.full(len(apertures.node_x), -1)
     for k, well in enumerate(wells):
         distance = np.hypot(apertures.node_x - well.at[0], apertures.node_y - well.at[1])
-        well_of[distance < well.radius] = k
+        well_of[distance <= well.radius * (1.0 + TOUCHES)] = k
     return well_of
 
 

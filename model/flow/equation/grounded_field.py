@@ -113,7 +113,9 @@ def _graded(start: complex, end: complex, within: float) -> np.ndarray:
     length = abs(end - start)
     along = (end - start) / length
     foot = -(start * along.conjugate()).real  # m along the line
-    away = abs(start + foot * along)
+    # of a line that points at the well the nearest place counts
+    nearest = abs(start + np.clip(foot, 0.0, length) * along)
+    away = max(abs(start + foot * along), 0.1 * nearest)
     half = np.sqrt(max(within**2 - away**2, 0.0))
     low, high = np.arcsinh((np.clip([0.0, length], foot - half, foot + half) - foot) / away)
     count = max(4, int(np.ceil((high - low) / STEP)))

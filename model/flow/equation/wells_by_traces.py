@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from demflow.model.flow.equation.branches import TOUCHES
 from demflow.model.flow.equation.grounded_field import GroundedField, grounded_field
 from demflow.model.flow.equation.wells import Edges, Wells
 from demflow.model.flow.linear.factor import analyse, factorise, solve
@@ -86,7 +87,9 @@ def cuts_by_wells(
         if not len(near):
             continue
         cuts = _seen_from(cuts, edges, network, apertures, wells, k, near)
-        if away.min() <= site.radius:
+        if away.min() <= site.radius * (1.0 + TOUCHES):
+            touch = lines[away <= site.radius * (1.0 + TOUCHES)]
+            links += [link for line in touch if (link := _lost_tip(apertures, wells, k, line))]
             continue
         start, end = apertures.trace_start[near], apertures.trace_end[near]
         free = field.free if isinstance(field, GroundedField) else field
@@ -100,6 +103,28 @@ def cuts_by_wells(
         if tried.link is not None:
             links.append(tried.link)
     return cuts, links
+
+
+def _lost_tip(apertures: Apertures, wells: Wells, k: int, line: int) -> Link | None:
+    """The stretch of a trace from its last node to a well's wall, where the trace ends there.
+
+    A tip that meets no pipe is no node of the trace, unless a well makes it one.
+    """
+    site, ours = wells.sites[k], np.flatnonzero(apertures.branch_line == line)
+    ends = np.stack([apertures.branch_a[ours], apertures.branch_b[ours]])
+    place = np.stack([apertures.node_x[ends], apertures.node_y[ends]], axis=-1) - site.at
+    step = place[1] - place[0]
+    square = np.maximum(
+        (step * step).sum(1), np.finfo(float).tiny
+    )  # a lost tip ends where it begins
+    part = np.clip(-(place[0] * step).sum(1) / square, 0.0, 1.0)
+    wall = site.radius * (1.0 + TOUCHES)
+    if np.hypot(*(place[0] + part[:, None] * step).T).min() <= wall:
+        return None
+    away = np.hypot(*np.moveaxis(place, -1, 0))
+    side, branch = np.unravel_index(away.argmin(), away.shape)
+    carried = apertures.branch_conductance[ours[branch]] * apertures.branch_length[ours[branch]]
+    return Link(k, int(ends[side, branch]), float(carried / (away.min() - site.radius)))
 
 
 def _distance(apertures: Apertures, lines: np.ndarray, at: np.ndarray) -> np.ndarray:
@@ -287,10 +312,12 @@ def _fitted(
         return Fit(by(STEPS), 1)
     if misfit(-STEPS) > 0.0:
         return Fit(by(brentq(misfit, -STEPS, STEPS, xtol=1e-3)), 0)
-    link = brentq(lambda found: misfit(-STEPS, np.exp(found)), *np.log(LINKS), xtol=1e-3)
+    low, high = np.log(LINKS)
+    if misfit(-STEPS, LINKS[1]) > 0.0:
+        high = brentq(lambda found: misfit(-STEPS, np.exp(found)), low, high, xtol=1e-3)
     unit = 2.0 * np.pi * wells.mobility[k]
     node = cuts.node[moved[away[moved].argmin()]]
-    return Fit(by(-STEPS), -1, Link(k, int(node), unit * float(np.exp(link))))
+    return Fit(by(-STEPS), -1, Link(k, int(node), unit * float(np.exp(high))))
 
 
 def _around(
