@@ -4,7 +4,8 @@ Random scenes go through the stages as a study's cases do; every recorded quanti
 a solution in extended precision, on the scale that the tolerance is stated for:
 
 - the pressure change of a well, and its derivative: the largest change of its flow period so far,
-  for the derivative of a shut-in times d ln Δt / d ln of the equivalent time by which it is taken;
+  for the derivative of a shut-in times d ln Δt / d ln of the equivalent time by which it is taken,
+  or the derivative itself, where its window reaches to changes far larger;
 - the pressure of a well: its largest change so far;
 - the rate of a well at a pressure, the flow through a side: the largest of its own, or a millionth
   of the largest flow or rate of the case, or a tenth of what would fill all pores to its pressure
@@ -124,7 +125,7 @@ def truth(scene: Scene, rock: dict[str, Any], told_by: Responses) -> tuple[Recor
     own = np.abs(probes).max(axis=1, keepdims=True)
     scales = {
         "pressure_change": so_far,
-        "pressure_derivative": stretched,
+        "pressure_derivative": np.fmax(stretched, np.abs(derivative)),
         "well_pressure": np.maximum.accumulate(np.abs(pressure), axis=1),
         "well_rate": rate_scale,
         "boundary_flow": flow_scale[:sides],
@@ -166,8 +167,10 @@ def ratios(
             given = given - START
         if name.startswith(("pressure", "well_pressure", "probe")):
             round_off = 64 * np.spacing(START)
+        if name == "pressure_derivative":  # the digit over the abscissa's smaller step
+            round_off = round_off * np.fmax(1.0, scales[name] / scales["pressure_change"])
         counts = np.isfinite(value) & (scales[name] > 0.0)
-        off = np.maximum(np.abs(given - value)[counts] - round_off, 0.0)
+        off = np.maximum(np.abs(given - value) - round_off, 0.0)[counts]
         ratio = off / (tolerance * scales[name][counts])
         worst[name] = float(np.max(np.where(np.isfinite(ratio), ratio, np.inf), initial=0.0))
     return worst
