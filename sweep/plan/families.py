@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 # Different members from which on a family is worth its model, that takes as long as some thirty.
 LEAST = 64
 CHOSEN = 24  # members that a model is made from
-BLOCK = 256  # members that one run serves
+BLOCK = 512  # members that one run serves
 
 
 @dataclass
