@@ -26,6 +26,8 @@ NEARLY_LINEAR = 0.02  # half width on the scale 0 to 1 up to which the Jacobian 
 CORRELATED = 0.95  # from which on a pair of parameters is told
 SCANNED, STARTS, KEPT = 128, 6, 2  # points tried, of them started from, of them followed to the end
 BRIEF = 12  # steps of a start before it is judged
+ELSEWHERE = (0.08, 0.29, 0.5, 0.71, 0.92)  # places of each parameter from which others are sought
+APART = 0.02  # on the scale 0 to 1: minima that lie nearer are one
 _STEP = 1e-6  # of the scale 0 to 1, for the Jacobian
 _ANEW = 5  # times that a better place than the best so far is gone on from
 _FLAT = 1e-13  # curvature of the sum of squares that is round-off, parameters scaled alike
@@ -106,6 +108,7 @@ class Fit:
 
 
 Predict = Callable[[dict[str, float]], np.ndarray]
+_Minimum = tuple[np.ndarray, float]  # place on the scale 0 to 1, sum of squares there
 
 
 class _Problem:
@@ -226,16 +229,54 @@ def fit(
     if len(starts) > KEPT:
         brief = sorted((problem.solve(one, evaluations=BRIEF) for one in starts), key=_squares)
         starts = [one for one, _ in brief[:KEPT]]
-    best, squares = min((problem.solve(one) for one in starts), key=_squares)
+    found = sorted((problem.solve(one) for one in starts), key=_squares)
+    if start is None:
+        found = _minima(problem, found)
     for _ in range(_ANEW):
         try:
-            return _told(problem, best, squares, profile)
-        except _Better as found:
-            best, squares = problem.solve(found.place)
-    return _told(problem, best, squares, False)
+            return _told(problem, found, profile)
+        except _Better as better:
+            found = _apart([problem.solve(better.place), *found])
+    return _told(problem, found, False)
 
 
-def _squares(tried: tuple[np.ndarray, float]) -> float:
+def _minima(problem: _Problem, found: list[_Minimum]) -> list[_Minimum]:
+    """Minima of the sum of squares, the best first: what else may fit is looked for.
+
+    A fault at the well and none within reach give the same pressures for another permeability.
+    From the best place each parameter that is not sharp there is put elsewhere, the others fitted
+    anew, and where that comes nearer to the data than on either side, all are let go.
+    """
+    for _ in range(_ANEW):
+        best, squares = found[0]
+        tried: list[_Minimum] = []
+        vague = ~(_linearised(problem, best, squares).half <= NEARLY_LINEAR)
+        for k in np.flatnonzero(vague).tolist():
+            held = []
+            for place in ELSEWHERE:
+                at = best.copy()
+                at[k] = place
+                held.append(problem.solve(at, held=k, evaluations=BRIEF))
+            sums = [math.inf, *(found for _, found in held), math.inf]
+            for number, (at, size) in enumerate(held):
+                if size < sums[number] and size < sums[number + 2]:
+                    tried.append(problem.solve(at, evaluations=2 * BRIEF))
+        found = _apart([*found, *tried])
+        if found[0][1] > (1.0 - 1e-3) * squares:
+            break
+    return found
+
+
+def _apart(found: list[_Minimum]) -> list[_Minimum]:
+    """Minima in their order, each but once."""
+    kept: list[_Minimum] = []
+    for u, squares in sorted(found, key=_squares):
+        if all(np.max(np.abs(u - other)) > APART for other, _ in kept):
+            kept.append((u, squares))
+    return kept
+
+
+def _squares(tried: _Minimum) -> float:
     return tried[1]
 
 
@@ -271,7 +312,18 @@ def _starts(problem: _Problem, level: str | None, seed: int) -> list[np.ndarray]
     return chosen
 
 
-def _told(problem: _Problem, u: np.ndarray, squares: float, profile: bool | None) -> Fit:
+class _Linear(NamedTuple):
+    """What the model linearised at a minimum says of the parameters."""
+
+    half: np.ndarray  # (p,) half widths of the intervals
+    allowed: float  # sum of squares over the least, up to which a value counts as fitting
+    correlation: np.ndarray  # (p, p)
+    residual: np.ndarray  # (n,) weighted
+    persistence: float
+    effective: float
+
+
+def _linearised(problem: _Problem, u: np.ndarray, squares: float) -> _Linear:
     n, p = len(problem.data), len(u)
     off = problem.residual(u)
     persistence = _persistence(off)
@@ -290,7 +342,15 @@ def _told(problem: _Problem, u: np.ndarray, squares: float, profile: bool | None
         root = np.sqrt(np.diag(inverse))
         correlation = inverse / np.outer(root, root)
     half = deviation * stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom)
-    allowed = variance * stats.f.ppf(CONFIDENCE, 1, freedom)
+    allowed = float(variance * stats.f.ppf(CONFIDENCE, 1, freedom))
+    return _Linear(half, allowed, correlation, off, persistence, effective)
+
+
+def _told(problem: _Problem, minima: list[_Minimum], profile: bool | None) -> Fit:
+    (u, squares), *others = minima
+    n, p = len(problem.data), len(u)
+    half, allowed, correlation, off, persistence, effective = _linearised(problem, u, squares)
+    as_good = [] if profile is False else [m for m in others if m[1] < squares + allowed]
     estimates = []
     for k, one in enumerate(problem.free):
         low, high = u[k] - half[k], u[k] + half[k]
@@ -298,6 +358,11 @@ def _told(problem: _Problem, u: np.ndarray, squares: float, profile: bool | None
         if by_profile:
             low = _end(problem, u, k, -1.0, squares, allowed, half[k])
             high = _end(problem, u, k, +1.0, squares, allowed, half[k])
+        away = [at for at, _ in as_good if not low <= at[k] <= high]
+        for at, size in as_good:  # an interval holds all that fits
+            reach = 0.5 * NEARLY_LINEAR
+            low = min(low, _end(problem, at, k, -1.0, squares, allowed, reach, size))
+            high = max(high, _end(problem, at, k, +1.0, squares, allowed, reach, size))
         open_below, open_above = low <= 0.0, high >= 1.0
         low, high = max(low, 0.0), min(high, 1.0)
         ends = one.value(low), one.value(high)
@@ -309,6 +374,8 @@ def _told(problem: _Problem, u: np.ndarray, squares: float, profile: bool | None
             why = f"the data leave its {side} side open: they bound it from one side only"
         elif one.logarithmic and ends[1] > WIDE * ends[0]:
             why = "the data tell no more than its order of magnitude"
+        elif away:
+            why = f"the data fit {one.value(float(away[0][k])):.4g} as well"
         estimates.append(
             Estimate(
                 *(one.name, one.value(u[k]), *ends, not why, why),
@@ -349,11 +416,12 @@ def _end(
     squares: float,
     allowed: float,
     half: float,
+    here: float | None = None,
 ) -> float:
     """Where the profile likelihood of a parameter leaves the interval; a bound or beyond if never.
 
     The others are fitted anew at each place; a place is sought by halving between one inside and
-    one outside, from the linear guess.
+    one outside, from the linear guess. `here` is the sum of squares at u, where it is not the best.
     """
     bound = 1.0 if way > 0 else 0.0
     room = abs(bound - u[k])
@@ -369,7 +437,8 @@ def _end(
         return (found - squares) / allowed - 1.0, best
 
     guess = half if math.isfinite(half) and half > 0.0 else 0.5 * room
-    inside, at_inside, e_inside = 0.0, u, -1.0
+    inside, at_inside = 0.0, u
+    e_inside = -1.0 if here is None else (here - squares) / allowed - 1.0
     outside, e_outside = None, 0.0
     reach = min(guess, room)
     for _ in range(12):

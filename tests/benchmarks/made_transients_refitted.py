@@ -1,7 +1,14 @@
-"""Made transients with 1 % noise, of every reservoir model, and the intervals of their fits."""
+"""Made transients with 1 % noise, of every reservoir model, and the intervals of their fits.
+
+Each parameter of each model is judged by itself. With intervals that are right, fewer than 90 in a
+hundred lie inside once in 90 times, and all of them once in 170: of some sixty parameters one is
+likely off by chance. One that some of the data leave open, and said to be so, may lie inside
+always. COUNT and MODELS (of the environment) make fewer transients, and choose models.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from typing import NamedTuple
 
@@ -13,7 +20,8 @@ from demflow.sweep.analysis.reservoirs import MODELS, Superposed
 from demflow.sweep.study.reservoir import PARAMETERS, Rock, parameters_of
 from tests.benchmarks.result import Result
 
-COUNT = 100  # transients of each model
+COUNT = int(os.environ.get("COUNT", "100"))  # transients of each model
+CHOSEN = os.environ.get("MODELS", "").split()  # all, if none is named
 NOISE = 0.01  # of the pressure change of each point
 POINTS, FIRST, LAST = 40, 10.0, 1e6  # times, s
 ROCK = Rock(porosity=0.2, viscosity=1e-3, compressibility=1e-9, well_radius=0.1, thickness=10.0)
@@ -119,27 +127,28 @@ def of_model(model: str, count: int = COUNT) -> list[Made]:
 
 def run() -> Result:
     """Of each model: how many of its true values are inside, in a hundred."""
-    lines = []
-    shares = []
-    for model in MODELS:
+    lines, shares, off = [], [], []
+    for model in CHOSEN or MODELS:
         made = of_model(model)
         names = sought(model)
         cells = []
         for name in names:
             inside = sum(m.inside[name] for m in made)
             loose = sum(not m.determined[name] for m in made)
+            share = 100.0 * inside / COUNT
+            shares.append(share)
+            if share < 90.0 or (share > 99.0 and loose < 0.05 * COUNT):
+                off.append((f"{model} {name}", share))
             cells.append(f"{name} {inside}" + (f" ({loose} said to be open)" if loose else ""))
-        share = 100.0 * np.mean([m.inside[name] for m in made for name in names])
-        shares.append(float(share))
         seconds = sum(m.seconds for m in made)
-        lines.append(
-            f"{model}: {share:.1f} in a hundred; {', '.join(cells)}; {seconds:.0f} s of processor "
-            "time, loaded"
-        )
+        lines.append(f"{model}: {', '.join(cells)}; {seconds:.0f} s of processor time, loaded")
     low, high = min(shares), max(shares)
+    told = ", ".join(f"{name} {share:.0f}" for name, share in off) or "none"
+    lines.append(f"outside 90 to 99: {told}")
     return Result(
-        f"of {COUNT} transients a model, {low:.1f} to {high:.1f} in a hundred true values inside",
-        "90 to 99 in a hundred, of each model",
-        bool(low >= 90.0 and high <= 99.0),
+        f"of {COUNT} transients a model, {low:.0f} to {high:.0f} in a hundred true values inside, "
+        f"{len(off)} of {len(shares)} parameters outside of 90 to 99",
+        "90 to 99 in a hundred, of each parameter",
+        not off,
         "\n".join(lines),
     )

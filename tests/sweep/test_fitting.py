@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from demflow.model.analytic.radial import line_source
 from demflow.sweep.analysis.fitting import Free, choice, fit, told_pairs
 from demflow.sweep.analysis.reservoirs import MODELS, Superposed, unit_response
 from demflow.sweep.command.cli import main
+from demflow.sweep.fitting.fitted import fit_study
 from demflow.sweep.study.reservoir import PARAMETERS, Rock, parameters_of
 
 ROCK = Rock(porosity=0.2, viscosity=1e-3, compressibility=1e-9, well_radius=0.1, thickness=10.0)
@@ -254,3 +256,45 @@ def test_without_rates_the_changes_that_the_pressure_shows_are_told(tmp_path, ca
     path.write_text(STUDY.replace("[2e5 s", "[1.7e5 s"))
     assert main(["fit", str(path), "--results", str(tmp_path / "results"), "--no-figure"]) == 0
     assert "later than the rates change: two clocks?" in capsys.readouterr().err
+
+
+def test_intervals_hold_every_way_in_which_a_model_fits():
+    """A fault at the well halves what the flow sees, as does half the permeability far from one."""
+    model = MODELS["fault"]
+    times = np.geomspace(10.0, 1e5, 40)
+    well = Superposed(times, ((0.0, 1e-3),))
+    known = {"initial_pressure": 3e7, "drift": 0.0}
+    truth = {"permeability": 3e-14, "skin_factor": 3.0, "wellbore_storage": 1e-8, "distance": 400.0}
+    exact = well.pressure(model, ROCK, {**known, **truth})
+    scatter = 0.01 * (3e7 - exact)
+    data = exact + np.random.default_rng(3).normal(0.0, scatter)
+    free = [
+        Free("permeability", 1e-16, 1e-11),
+        Free("skin_factor", -5.0, 30.0),
+        Free("wellbore_storage", 1e-11, 1e-5),
+        Free("distance", 1.0, 3e3),
+    ]
+    found = fit(
+        lambda v: well.pressure(model, ROCK, {**known, **v}), data, free, weight=1.0 / scatter
+    )
+    for name, value in truth.items():
+        assert found[name].low <= value <= found[name].high
+    assert found["permeability"].low < 1.1 * truth["permeability"]
+    assert found["permeability"].high > 1.9 * truth["permeability"]
+    assert not found["permeability"].determined
+    assert "as well" in found["permeability"].why
+
+
+def test_the_shipped_record_gives_back_what_it_was_made_of(tmp_path):
+    fitted = fit_study(Path(__file__).parents[2] / "studies" / "fit_build_up.yaml", tmp_path)
+    assert next(iter(fitted.fits)) == "homogeneous"
+    best = fitted.best
+    for name, made in (
+        ("permeability", 50 * 9.869233e-16),
+        ("skin_factor", 2.0),
+        ("wellbore_storage", 1e-9),
+        ("initial_pressure", 2e7),
+    ):
+        assert best[name].determined
+        assert best[name].low <= made <= best[name].high
+    assert fitted.figure is not None
