@@ -22,9 +22,7 @@ SHOWN = {  # study -> its figure
     "field_well": "traces",
     "build_up": "horner_producer",
     "permeability_under_stress": "permeability",
-    "tunnel_inflow": "inflow",
     "outcrop": "traces",
-    "uncertain_rock": "sensitivity",
     "biaxial": "stress_strain",
     "paper_fractured": "pressure_map_0",
 }
