@@ -71,7 +71,12 @@ def write_case(case: xr.Dataset, path: str | Path) -> list[Path]:
 
 
 def in_file_form(case: xr.Dataset) -> xr.Dataset:
-    """The maps with the names and attributes that programs look for, ready for `to_netcdf`."""
+    """The maps with the names and attributes that programs look for, ready for `to_netcdf`.
+
+    What there is none of, as cracks, is left out: netCDF makes a dimension of size 0 a record
+    dimension, which CDO then takes for time.
+    """
+    case = case.drop_dims([name for name, size in case.sizes.items() if size == 0])
     if "elapsed_time" not in case.dims:
         return case
     times = case["elapsed_time"]

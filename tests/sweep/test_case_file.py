@@ -92,6 +92,17 @@ def test_the_file_steps_through_time_by_the_names_that_programs_know(case, tmp_p
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_what_there_is_none_of_is_no_record_dimension(case, tmp_path):
+    none = case.assign(crack_x=("crack", np.empty(0)))
+    (path,) = sweep.write_case(none, tmp_path / "case.nc")
+    with netCDF4.Dataset(path) as file:
+        assert [d for d in file.dimensions if file.dimensions[d].isunlimited()] == ["time"]
+    steady = none.isel(elapsed_time=0, drop=True)
+    (path,) = sweep.write_case(steady, tmp_path / "steady.nc")
+    with netCDF4.Dataset(path) as file:
+        assert not any(dimension.isunlimited() for dimension in file.dimensions.values())
+
+
 def test_the_checker_of_cf_finds_nothing(case, tmp_path):
     case.to_netcdf(tmp_path / "case.nc")
     report = tmp_path / "report.json"
