@@ -44,7 +44,7 @@ EQUATION = 1e-5  # relative residual of the equations of Newton's method, at the
 LOOSEST = 1e-2  # and where what is not linear is larger (Eisenstat & Walker 1996, choice 2)
 WAITS = 4  # iterations in which it has to come closer by half where a shorter step may do
 OILS = (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3)  # grips, over k_n
-THICKENED = 12  # times that it may be made thicker again, where a part is not found
+THICKENED = 12  # times that it may be made thicker again
 SETTLED = 1e-3  # force that they still bear, over the mean contact force
 LONGEST = 0.1  # mean radii by which an iteration moves grains at most
 
@@ -277,6 +277,8 @@ def through_oil(
     fluid: Fluid,
     vapour: Array,
     last: Balanced,
+    *,
+    patience: int = THICKENED,
 ) -> Balanced:
     """The state after a step that is not found at once, by way of thicker oil.
 
@@ -289,6 +291,7 @@ def through_oil(
     first : what contacts remember of the start
     u, p, vapour : the state at the start
     last : what was found without it
+    patience : how often it is made thicker again, where a part is not found
     """
     memory, stages, thickened = first, list(reversed(OILS)), 0
     while stages:
@@ -300,7 +303,7 @@ def through_oil(
         now = balanced(case, memory, u, p, mass, fluid, vapour)
         if not now.reached:
             thickened += 1
-            if thickened > THICKENED:
+            if thickened > patience:
                 return last
             stages += [grip, 2.0 * grip]
             continue
@@ -310,6 +313,9 @@ def through_oil(
         last = now._replace(reached=off <= SETTLED, off=off, hold=own)
         memory = remembered(case.skeleton, memory, now.found, now.u)
         u, p, vapour = now.u, now.p, now.vapour
+        if not stages and off > SETTLED and thickened < patience:
+            thickened += 1
+            stages = [grip]
     final = balanced(case, memory._replace(grip=first.grip), u, p, mass, fluid, vapour)
     return final if final.reached else last
 

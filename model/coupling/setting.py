@@ -49,6 +49,7 @@ WIDEST = 100.0  # times the unstressed aperture: beyond, pipes conduct no better
 WIDEST_OF_RADIUS = 1e-3  # where the matrix is sealed, of the mean radius
 WALLS = ("left", "right", "bottom", "top")
 PARTS = 8  # of the load, where it is not found at once
+PATIENCE = 150  # with it: it is found once, and all else hangs on it
 
 
 class Setting(NamedTuple):
@@ -260,7 +261,7 @@ def at_rest(case: Case, hold: Hold, u: Array) -> Balanced:
     found = balanced(case, hold, u, none, none, fluid, keeps)
     if found.reached:
         return found
-    return through_oil(case, hold, u, none, none, fluid, keeps, found)
+    return through_oil(case, hold, u, none, none, fluid, keeps, found, patience=PATIENCE)
 
 
 def _loaded(skeleton: Skeleton, hold: Hold, load: Array) -> tuple[Array, Hold]:
