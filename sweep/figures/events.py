@@ -9,11 +9,15 @@ import xarray as xr
 
 from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import Index, axes, case_title, display, events
-from demflow.sweep.figures.style import BLUE, GREY, VERMILION, legend_text, new_figure, save
+from demflow.sweep.figures.style import BLACK, BLUE, GREY, VERMILION, legend_text, new_figure, save
 
 MOST_CASES = 4
 HEIGHT, WIDTH, MAP = 3.0, 4.2, 3.2  # inches of a row, and of its two panels
-MODES = ((1, "tension", BLUE), (2, "shear", VERMILION))
+MODES = (
+    (1, "broken in tension", BLUE),
+    (2, "broken in shear", VERMILION),
+    (3, "sliding joint", BLACK),
+)
 
 
 def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
@@ -52,7 +56,7 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
         last = max(float(dataset["elapsed_time"].values[-1]), float(at[-1]))
         counts_in_time = np.append(np.arange(len(at) + 1), len(at))
         broken.step(np.concatenate([[0.0], at, [last]]), counts_in_time, where="post", color=GREY)
-        broken.set(ylabel="breaks", ylim=(0.0, None))
+        broken.set(ylabel="breaks, contacts that began to slide", ylim=(0.0, None))
         broken.yaxis.get_major_locator().set_params(integer=True)
         broken.grid(False)
         in_time.set(xlabel="time (s)", title=case_title(dataset, index))
@@ -66,7 +70,7 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
                     s=8.0,
                     color=colour,
                     linewidths=0.0,
-                    label=f"{np.count_nonzero(which)} in {word}",
+                    label=f"{np.count_nonzero(which)} {word}",
                 )
         path_of_it.set(xlabel=f"x ({length})", ylabel=f"y ({length})")
         path_of_it.set_aspect("equal", adjustable="datalim")
