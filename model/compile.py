@@ -12,12 +12,12 @@ from functools import wraps
 from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
-from numba import njit
 from numba.core import event
 from numba.extending import overload
 
 from demflow.model.compilation import compilation
 from demflow.model.kernel_cache import LateCache
+from demflow.model.kernel_parts import OPTIONS, whole
 
 Array = np.ndarray  # its docstring says of what, and of which shape
 
@@ -27,7 +27,7 @@ Returned = TypeVar("Returned", covariant=True)
 
 def kernel(function: Function) -> Function:
     """Compile a function of numbers and arrays to machine code, cached on disk."""
-    compiled: Any = njit(nogil=True, error_model="numpy")(function)
+    compiled: Any = whole(function)
     if compiled is not function:  # NUMBA_DISABLE_JIT leaves it as it is
         compiled._cache = LateCache(function)
     return cast("Function", compiled)
@@ -67,9 +67,7 @@ def by_type(statement: Callable[..., Returned]) -> ByType[Returned]:
     def choose(first: Any, *_others: Any) -> Callable[..., Any]:
         return implementations.get(getattr(first, "instance_class", type(None)), statement)
 
-    chosen: Callable[[Any], Any] = overload(
-        function, jit_options={"nogil": True, "error_model": "numpy"}, strict=False
-    )
+    chosen: Callable[[Any], Any] = overload(function, jit_options=OPTIONS, strict=False)
     chosen(choose)
     vars(function).update(of=of, statement=statement, implementations=implementations)
     return cast("ByType[Returned]", function)

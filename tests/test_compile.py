@@ -60,7 +60,7 @@ def small_model(folder: Path) -> dict[str, str]:
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
     (package.parent / "__init__.py").touch()
-    for name in ("compile.py", "compilation.py", "kernel_cache.py"):
+    for name in ("compile.py", "compilation.py", "kernel_cache.py", "kernel_parts.py"):
         shutil.copy(MODEL / name, package)
     (package / "law.py").write_text(LAW)
     (package / "caller.py").write_text(CALLER)
@@ -197,3 +197,55 @@ def test_a_folder_that_others_can_write_holds_no_kernels(tmp_path):
     assert (planted / name).stat().st_mode & 0o777 == 0o700
     (planted / name).chmod(0o777)
     assert Path(answer(code, tmp_path, environment).strip()).parent != planted
+
+
+REFUSING = """
+from demflow.model.compile import kernel
+
+@kernel
+def law(x):
+    if x < 0:
+        raise ValueError("below zero", 7)
+    return 2 * x
+"""
+
+TWICE = """
+from demflow.model.compile import kernel
+from demflow.model.law import law
+
+@kernel
+def caller(x):
+    return law(1) + law(2) * law(x)
+"""
+
+
+def test_what_a_kernel_inside_another_raises_is_told_whole(tmp_path):
+    """Its constants are set where it lies, compiled just now or kept."""
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "law.py").write_text(REFUSING)
+    code = (
+        "from demflow.model.caller import caller\n"
+        "print(caller(1.5))\n"
+        "try: caller(-1.0)\n"
+        "except ValueError as error: print(error.args)\n"
+    )
+    for _ in range(2):
+        assert answer(code, tmp_path, environment) == "3.0\n('below zero', 7)\n"
+
+
+def test_numbers_written_in_a_call_compile_nothing_of_their_own(tmp_path):
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "caller.py").write_text(TWICE)
+    code = (
+        "from numba.core import event\n"
+        "class Heard(event.Listener):\n"
+        "    names = []\n"
+        "    def on_start(self, e): self.names.append(e.data['dispatcher'].py_func.__name__)\n"
+        "    def on_end(self, e): pass\n"
+        "event.register('numba:compile', Heard())\n"
+        "from demflow.model.caller import caller\n"
+        "from demflow.model.law import law\n"
+        "print(caller(3), law(3), sorted(Heard.names))\n"
+    )
+    # once inside the caller, once for Python
+    assert answer(code, tmp_path, environment) == "26 6 ['caller', 'law', 'law']\n"

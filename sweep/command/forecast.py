@@ -20,7 +20,7 @@ from demflow.sweep.plan.runs import CostClass
 from demflow.sweep.prepared import Project
 from demflow.sweep.study.load import Limits
 
-COMPILING = 60.0  # s of processor time to compile the kernels of a study, once on a machine
+COMPILING = 30.0  # s of processor time to compile the kernels of a study, once on a machine
 FEW_KERNELS = 10  # kept ones, below which a run has still to compile
 
 

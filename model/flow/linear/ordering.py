@@ -83,14 +83,6 @@ def _eliminate(start: Array, entry: Array) -> Array:
     """Eliminate all nodes; the order."""
     n = start.size - 1
     node = np.empty((n, FIELDS), np.int32)
-    node[:, PLACE] = start[:n]
-    node[:, LENGTH] = start[1:] - start[:n]
-    node[:, DEGREE] = node[:, LENGTH]
-    node[:, ELEMENTS] = 0
-    node[:, SIZE] = 1
-    node[:, MARK] = 1
-    node[:, AFTER] = NONE
-    node[:, BEFORE] = NONE
     host = np.full(n, NONE, np.int32)
     head, bucket = np.full(n, NONE, np.int32), np.full(n, NONE, np.int32)
     free = start[n]
@@ -98,6 +90,11 @@ def _eliminate(start: Array, entry: Array) -> Array:
     done, steps, least, largest = 0, 0, 0, 0
     dense = max(16, int(DENSE * np.sqrt(n)))
     for i in range(n):
+        node[i, PLACE] = start[i]
+        node[i, LENGTH] = node[i, DEGREE] = start[i + 1] - start[i]
+        node[i, ELEMENTS] = 0
+        node[i, SIZE] = node[i, MARK] = 1
+        node[i, AFTER] = node[i, BEFORE] = NONE
         if node[i, LENGTH] == 0:
             node[i, PLACE] = NONE
         if node[i, DEGREE] > dense:

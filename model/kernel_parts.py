@@ -1,0 +1,101 @@
+"""Kernels inside kernels: linked into what calls them, and made machine code there alone.
+
+Numba optimises each function and translates it on its own, with wrappers through which Python
+and C may call it, before it links it into its caller, where the same happens again. Here a kernel
+that another one calls is a *part*: it is typed and lowered, once for each types of arguments,
+and the rest is left to the kernel that Python calls.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import partial
+from types import FunctionType
+from typing import Any
+
+from numba import njit, types
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler, CompileResult
+from numba.core.environment import lookup_environment
+
+OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
+
+class _Whole(JITCodeLibrary):
+    """Code that Python calls: knows the constants of all its parts."""
+
+    def _finalize_specific(self) -> None:
+        super()._finalize_specific()
+        for variable in self._final_module.global_variables:
+            environment = lookup_environment(variable.name)
+            if environment is not None:
+                self._codegen.set_env(variable.name, environment)
+
+
+class _Part(JITCodeLibrary):
+    """Code that is only linked into other code."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+    def _optimize_final_module(self) -> None:
+        """Leave it to the whole."""
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+    def get_pointer_to_function(self, _name: str) -> int:
+        """Tell that there is none."""
+        self._ensure_finalized()
+        return 0
+
+    @property
+    def codegen(self) -> _Part:
+        """What sets constants where the code lies: the whole does."""
+        return self
+
+    def set_env(self, _name: str, _environment: Any) -> None:
+        """Leave it to the whole."""
+
+
+@contextmanager
+def _parts_only(codegen: Any) -> Iterator[None]:
+    """Make a part of all that is compiled meanwhile, Numba's own functions too."""
+    codegen.create_library = partial(_Part, codegen)
+    try:
+        yield
+    finally:
+        del codegen.create_library
+
+
+class _Wholes(Compiler):  # type: ignore[misc] (Numba has no types)
+    """Numba's compiler of a kernel that Python calls."""
+
+    def compile_extra(self, function: FunctionType) -> CompileResult:
+        """Compile a function, and as parts all that it calls."""
+        codegen = self.state.targetctx.codegen()
+        self.state.library = _Whole(codegen, function.__qualname__)
+        self.state.library.enable_object_caching()
+        with _parts_only(codegen):
+            return super().compile_extra(function)
+
+
+def whole(function: FunctionType) -> Any:
+    """Compile a function for Python, and as a part for other kernels.
+
+    A part is not compiled anew for each literal number that it is called with.
+    """
+    compiled = njit(pipeline_class=_Wholes, **OPTIONS)(function)
+    if compiled is function:  # NUMBA_DISABLE_JIT leaves it as it is
+        return function
+    part = njit(no_cpython_wrapper=True, **OPTIONS)(function)
+
+    def get_call_template(args: Any, keywords: dict[str, Any]) -> Any:
+        keywords = {name: types.unliteral(kind) for name, kind in keywords.items()}
+        return part.get_call_template([types.unliteral(kind) for kind in args], keywords)
+
+    compiled.get_call_template = get_call_template
+    compiled.get_overload = part.get_overload
+    return compiled
