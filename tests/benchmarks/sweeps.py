@@ -68,7 +68,7 @@ def timed_run(path: Path, results: Path, *, root: Path = ROOT, **options: Any) -
     """Run a study without figures, in processes of its own, by the build that lies at `root`."""
     given = json.dumps({"path": str(path), "results": str(results), **options})
     package = "demflow.sweep" if (root / "demflow").exists() else "sweep"
-    before = _cpu_of_children()
+    before = cpu_of_children()
     done = subprocess.run(
         [sys.executable, "-c", _CHILD.replace("PACKAGE", package), given],
         cwd=root,
@@ -78,7 +78,7 @@ def timed_run(path: Path, results: Path, *, root: Path = ROOT, **options: Any) -
         text=True,
     )
     seconds, computed, failed = json.loads(done.stdout)
-    return Took(seconds, _cpu_of_children() - before, computed, failed)
+    return Took(seconds, cpu_of_children() - before, computed, failed)
 
 
 def timed_command(*arguments: str) -> tuple[float, str]:
@@ -121,6 +121,7 @@ def four_hundred_cases(grains: int) -> tuple[Path, Path, Took]:
     return path, results, timed_run(path, results, workers=2)
 
 
-def _cpu_of_children() -> float:
+def cpu_of_children() -> float:
+    """Seconds of processor time of all processes that were started and have ended."""
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
