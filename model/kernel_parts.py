@@ -6,6 +6,8 @@ that another one calls is a *part*: it is typed and lowered, once for each types
 and the rest is left to the kernel that Python calls.
 """
 
+# Numba gives types to few of these:
+# mypy: disable-error-code="no-untyped-call, attr-defined"
 from __future__ import annotations
 
 from collections.abc import Iterator
@@ -19,7 +21,7 @@ from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import lookup_environment
 
-OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Whole(JITCodeLibrary):
@@ -70,7 +72,7 @@ def _parts_only(codegen: Any) -> Iterator[None]:
         del codegen.create_library
 
 
-class _Wholes(Compiler):  # type: ignore[misc] (Numba has no types)
+class _Wholes(Compiler):
     """Numba's compiler of a kernel that Python calls."""
 
     def compile_extra(self, function: FunctionType) -> CompileResult:
@@ -82,15 +84,16 @@ class _Wholes(Compiler):  # type: ignore[misc] (Numba has no types)
             return super().compile_extra(function)
 
 
-def whole(function: FunctionType) -> Any:
+def whole(function: Any) -> Any:
     """Compile a function for Python, and as a part for other kernels.
 
     A part is not compiled anew for each literal number that it is called with.
     """
-    compiled = njit(pipeline_class=_Wholes, **OPTIONS)(function)
+    made: Any = njit  # it takes options that its types do not name
+    compiled = made(pipeline_class=_Wholes, **OPTIONS)(function)
     if compiled is function:  # NUMBA_DISABLE_JIT leaves it as it is
         return function
-    part = njit(no_cpython_wrapper=True, **OPTIONS)(function)
+    part = made(no_cpython_wrapper=True, **OPTIONS)(function)
 
     def get_call_template(args: Any, keywords: dict[str, Any]) -> Any:
         keywords = {name: types.unliteral(kind) for name, kind in keywords.items()}
