@@ -12,23 +12,28 @@ from functools import wraps
 from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
+from numba import njit
 from numba.core import event
 from numba.extending import overload
 
 from demflow.model.compilation import compilation
 from demflow.model.kernel_cache import LateCache
-from demflow.model.kernel_parts import OPTIONS, whole
+from demflow.model.kernel_parts import Wholes, calls_part
 
 Array = np.ndarray  # its docstring says of what, and of which shape
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 Returned = TypeVar("Returned", covariant=True)
 
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+
 
 def kernel(function: Function) -> Function:
     """Compile a function of numbers and arrays to machine code, cached on disk."""
-    compiled: Any = whole(function)
+    compile_: Any = njit  # takes options that its types do not name
+    compiled = compile_(pipeline_class=Wholes, **OPTIONS)(function)
     if compiled is not function:  # NUMBA_DISABLE_JIT leaves it as it is
+        calls_part(compiled, compile_(no_cpython_wrapper=True, **OPTIONS)(function))
         compiled._cache = LateCache(function)
     return cast("Function", compiled)
 

@@ -16,12 +16,10 @@ from functools import partial
 from types import FunctionType
 from typing import Any
 
-from numba import njit, types
+from numba import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import lookup_environment
-
-OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 
 class _Whole(JITCodeLibrary):
@@ -72,7 +70,7 @@ def _parts_only(codegen: Any) -> Iterator[None]:
         del codegen.create_library
 
 
-class _Wholes(Compiler):
+class Wholes(Compiler):
     """Numba's compiler of a kernel that Python calls."""
 
     def compile_extra(self, function: FunctionType) -> CompileResult:
@@ -84,16 +82,11 @@ class _Wholes(Compiler):
             return super().compile_extra(function)
 
 
-def whole(function: Any) -> Any:
-    """Compile a function for Python, and as a part for other kernels.
+def calls_part(compiled: Any, part: Any) -> None:
+    """Have other kernels link a part where they call a compiled kernel.
 
-    A part is not compiled anew for each literal number that it is called with.
+    The part is not compiled anew for each literal number that it is called with.
     """
-    made: Any = njit  # it takes options that its types do not name
-    compiled = made(pipeline_class=_Wholes, **OPTIONS)(function)
-    if compiled is function:  # NUMBA_DISABLE_JIT leaves it as it is
-        return function
-    part = made(no_cpython_wrapper=True, **OPTIONS)(function)
 
     def get_call_template(args: Any, keywords: dict[str, Any]) -> Any:
         keywords = {name: types.unliteral(kind) for name, kind in keywords.items()}
@@ -101,4 +94,3 @@ def whole(function: Any) -> Any:
 
     compiled.get_call_template = get_call_template
     compiled.get_overload = part.get_overload
-    return compiled

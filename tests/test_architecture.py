@@ -23,7 +23,7 @@ MODEL = (
         "model.transient",
         "model.threads",
     ),
-    ("model.kernel_cache",),
+    ("model.kernel_cache", "model.kernel_parts"),
     ("model.compile",),
     ("model.memory",),
     ("model.quantities",),
@@ -80,7 +80,7 @@ MACHINERY = {
     "sweep.figures": ("model.analytic", "model.transient"),
 }
 DOORS = {  # outer library: the only rooms that may import it
-    "numba": {"model.compile", "model.kernel_cache"},
+    "numba": {"model.compile", "model.kernel_cache", "model.kernel_parts"},
     "qdldl": {"model.mechanics.static.stiffness", "model.coupling.matrix"},
     "threadpoolctl": {"model.threads"},
     "dask": {"sweep.execution.local", "sweep.execution.cluster"},
