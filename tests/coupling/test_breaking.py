@@ -227,3 +227,27 @@ def test_graded_grains_conduct_as_coarse_ones_until_what_opens_is_as_long_as_it_
     known = c.contact >= 0
     reach = net.grain_radius[net.pipe_grain_a] + net.grain_radius[net.pipe_grain_b]
     np.testing.assert_allclose((c.factor * unit)[known], 1.0 / reach[within][known], rtol=1e-12)
+
+
+def test_a_pore_squeezed_to_nothing_ends_the_march():
+    grains = packed()
+    given = setting(grains, None, rock=rock(), wet=wet(), wells=(well(grains),))
+    march, state = breaking.March(given, given.u, 1, 1e-2), breaking.start(given, 1)
+    volume = given.network.volume[given.pore] / given.case.unit**2
+    k = int(np.argmin(volume))
+    row = given.case.pull[[k]].toarray()[0]
+    way = -row * volume[k] / (row @ row)
+    assert march._ends(state._replace(u=given.u + 0.99 * way)) == ""
+    assert "squeezed to nothing" in march._ends(state._replace(u=given.u + way))
+
+
+def test_a_grain_without_contact_in_a_pore_stays_where_it_is():
+    grains = packed()
+    given = setting(grains, None, rock=rock(), wet=wet(), wells=(well(grains),))
+    taken = np.hypot(grains.x, grains.y) < well(grains).radius
+    floats = ~given.grains & ~taken
+    assert floats.any()
+    rows = (3 * np.flatnonzero(floats)[:, None] + np.arange(2)).ravel()
+    assert abs(given.case.push[rows]).max() < 1e-12  # fluid presses on it from all sides alike
+    found = reference()
+    np.testing.assert_allclose(found.state.u[rows], given.u[rows], atol=1e-9)
