@@ -155,12 +155,13 @@ def test_a_fault_slides_at_the_pressure_of_mohr_and_coulomb_and_conducts():
     assert found["energy_imbalance"] < 1e-9
     assert found["mass_imbalance"] < 1e-9
     assert found["slip_loss"] > 0.0
-    # permeability, before and after: along the fault far more, with the rest as it was
+    # permeability, before and after: along the fault more, by no more than it opened
     before, after = found["permeability_at_start"], found["permeability_in_time"]
     along = np.array([np.cos(np.pi / 3), np.sin(np.pi / 3)])
     grown = [along @ k @ along for k in (before, *after)]
     assert np.all(np.diff(grown) > -1e-6 * grown[0])
-    assert grown[-1] > 2.0 * grown[0]
+    widest = 1.0 + np.tan(0.17) * found["largest_joint_slip"][-1] / 4e-4  # of any aperture
+    assert 1.1 < grown[-1] / grown[0] < widest**3
     np.testing.assert_allclose(after, np.swapaxes(after, 1, 2), rtol=1e-9)
 
 
