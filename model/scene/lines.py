@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import fields
 from typing import Any, NamedTuple
@@ -136,6 +137,11 @@ def refined_places(
 
 def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
     """Every straight piece of the scene's fractures, clipped to the region."""
+    return list(_lines_of(fractures, region))
+
+
+@functools.lru_cache(maxsize=4)  # stages of one case, and cases of a study, ask for the same
+def _lines_of(fractures: tuple[Fracture, ...], region: Region) -> tuple[Line, ...]:
     lines: list[Line] = []
     traces = 0
     for index, fracture in enumerate(fractures):
@@ -161,7 +167,7 @@ def lines_of(fractures: tuple[Fracture, ...], region: Region) -> list[Line]:
                 )
             )
         traces += len(drawn.first) - 1
-    return lines
+    return tuple(lines)
 
 
 class FlowLine(NamedTuple):
