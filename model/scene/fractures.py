@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, fields
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
-from demflow.model.region import Region, clip_segments, outer_shape
+from demflow.model.region import Region, clip_segments, contains, distance_to_rim, outer_shape
 from demflow.model.scene.closure import Closure
 from demflow.model.scene.distributions import Angle, Aperture, Length, LogNormal
 from demflow.model.scene.random_sets import Drawing, expected, segments, window_problems
@@ -392,6 +392,9 @@ def _drawing_problems(fracture: RandomSet, region: Region) -> Problems:
 def _map_problems(fracture: TraceMap, region: Region) -> Problems:
     """What is wrong with where a map lies."""
     laid = fracture.laid
+    inside = laid.vertices[contains(region, laid.vertices)]
+    if len(inside) and distance_to_rim(region, inside).max() > 0.0:
+        return  # quicker than the parts of all traces
     _, a = pieces(laid.first)
     if len(clip_segments(region, laid.vertices[a], laid.vertices[a + 1])[0]):
         return
