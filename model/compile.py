@@ -12,13 +12,12 @@ from functools import wraps
 from typing import Any, Protocol, TypeVar, cast
 
 import numpy as np
-from numba import njit
+from numba import njit, version_info
 from numba.core import event
 from numba.extending import overload
 
 from demflow.model.compilation import compilation
 from demflow.model.kernel_cache import LateCache
-from demflow.model.kernel_parts import Wholes, calls_part
 
 Array = np.ndarray  # its docstring says of what, and of which shape
 
@@ -27,15 +26,29 @@ Returned = TypeVar("Returned", covariant=True)
 
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
+# `kernel_parts` halves compiling, and builds on the inside of Numba, which may change from version
+# to version: any other compiles each kernel as Numba does, to the same bits.
+PARTS_OF = (0, 68)
+
 
 def kernel(function: Function) -> Function:
     """Compile a function of numbers and arrays to machine code, cached on disk."""
-    compile_: Any = njit  # takes options that its types do not name
-    compiled = compile_(pipeline_class=Wholes, **OPTIONS)(function)
+    compiled: Any = _jitted(function)
     if compiled is not function:  # NUMBA_DISABLE_JIT leaves it as it is
-        calls_part(compiled, compile_(no_cpython_wrapper=True, **OPTIONS)(function))
         compiled._cache = LateCache(function)
     return cast("Function", compiled)
+
+
+def _jitted(function: Callable[..., Any]) -> Any:
+    compile_: Any = njit  # takes options that its types do not name
+    if version_info.short != PARTS_OF:
+        return compile_(**OPTIONS)(function)
+    from demflow.model.kernel_parts import Wholes, calls_part
+
+    compiled = compile_(pipeline_class=Wholes, **OPTIONS)(function)
+    if compiled is not function:
+        calls_part(compiled, compile_(no_cpython_wrapper=True, **OPTIONS)(function))
+    return compiled
 
 
 class ByType(Protocol[Returned]):

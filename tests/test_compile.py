@@ -86,6 +86,15 @@ def test_a_changed_law_is_never_answered_from_the_cache(tmp_path):
     assert answer(code, tmp_path, environment) == "7.5\n"
 
 
+def test_another_numba_compiles_kernels_as_numba_does(tmp_path):
+    environment = small_model(tmp_path)
+    policy = tmp_path / "demflow" / "model" / "compile.py"
+    policy.write_text(policy.read_text().replace("PARTS_OF = (0, 68)", "PARTS_OF = (0, 0)"))
+    (policy.parent / "kernel_parts.py").unlink()
+    code = "from demflow.model.caller import caller; print(caller(1.5), caller(2))"
+    assert answer(code, tmp_path, environment) == "3.0 4\n"
+
+
 def test_the_time_of_a_compilation_is_told_and_that_of_the_cache_is_not(tmp_path):
     environment = small_model(tmp_path)
     code = (
