@@ -98,6 +98,11 @@ def test_snapping_joins_what_falls_short_and_trims_what_reaches_over():
         assert np.abs(joined[k][:, 0] - 2 * k).max() < 0.011
 
 
+def test_a_snap_as_long_as_the_map_is_refused():
+    with pytest.raises(SceneError, match=r"snap: 100 m is more than half of the map, .* 9 m"):
+        traces([(0, 0), (9, 0)], [(3, 1), (3, 2)], snap=100.0)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_crop_keeps_the_length_in_its_square(seed):
     given = wiggly(seed)

@@ -109,6 +109,10 @@ def lay(
         if len(problems) > MOST_TOLD:
             shown.append(f"and {len(problems) - MOST_TOLD} faults more")
         raise SceneError([("file", what) for what in shown])
+    extent = float((high - low).max())
+    if snap is not None and snap > 0.5 * extent:  # all would be one, each pair compared
+        what = f"{snap:.3g} m is more than half of the map, which is {extent:.3g} m across"
+        raise SceneError([("snap", what)])
     vertices = vertices - at
     length, count = float(_lengths(vertices, first).sum()), len(first) - 1
     feature = file.feature
