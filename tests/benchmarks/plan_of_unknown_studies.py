@@ -46,16 +46,16 @@ def run() -> Result:
 def foretold(name: str, folder: Path) -> tuple[str, dict[str, float]]:
     """What is foretold of a study over what it took, and both in words.
 
-    Each is foretold by the same three studies alone: the notes of the others are left out.
+    Each is foretold by the same three studies alone, and noted by itself: its run finds no notes
+    of others, among which its own would not be told apart.
     """
-    notes = results_folder() / "cache" / "demflow" / "costs.json"
-    kept, results = notes.read_bytes(), folder / name
+    results = folder / name
     study = str(STUDIES / f"{name}.yaml")
     told = json.loads(
         timed_command("plan", study, "--results", str(results), *_workers(), "--json")[1]
     )
-    took = _run(name, results)
-    notes.write_bytes(kept)
+    with mock.patch.dict(os.environ, cache.variables(folder / f"{name}-notes")):
+        took = _run(name, results)
     costs = json.loads((results / "store" / "costs.json").read_text())
     worker = max(
         spent[4] or spent[5] for sizes in costs["stages"].values() for spent in sizes.values()
@@ -68,7 +68,9 @@ def foretold(name: str, folder: Path) -> tuple[str, dict[str, float]]:
     ratios = {key: (told[key] or told["at_least"][key]) / value for key, value in spent.items()}
     words = ", ".join(f"{key} {spent[key]:.3g} ({ratio:.2f})" for key, ratio in ratios.items())
     unknown = f"; not foretold: {', '.join(told['unknown'])}" if told["unknown"] else ""
-    return f"{name}: {words}{unknown} (foretold over spent)", ratios
+    line = f"{name}: {words}{unknown} (foretold over spent)"
+    print(line, flush=True)
+    return line, ratios
 
 
 def _run(name: str, results: Path, *more: str) -> float:
