@@ -94,6 +94,11 @@ def grain_count(scene: Scene) -> float:
     return max(1.0, scene.region.area / disc)
 
 
+def _line_count(scene: Scene) -> float:
+    """Number of straight pieces of fractures that act on flow, in the region."""
+    return float(max(1, len(flow_lines(scene.fractures, scene.rock))))
+
+
 def _nothing(_scene: Scene) -> float:
     return 0.0
 
@@ -589,6 +594,7 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=lambda s: s.needs("fractures"),
         product=FractureNetwork,
+        size=_line_count,  # no grain has a part in it
     ),
     Stage(
         name="emulator",

@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from demflow.model.amounts import held_by_flow, kept_by_flow
-from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Well
+from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Trace, Well
 from demflow.model.stages import STAGES, grain_count
 from demflow.sweep.command.forecast import forecast
 from demflow.sweep.execution.memory import peak_memory
@@ -200,6 +200,27 @@ def test_a_run_is_of_a_kind_by_its_size_and_its_solver():
     assert flows[2].step - flows[0].step == pytest.approx(math.log(10) / SIZE_STEP, abs=1)
     # the solver decides nothing of what comes before
     assert len({run.kind for run in plan.runs if run.kind.stage == "pack"}) == 2
+
+
+def test_a_description_of_fractures_grows_with_their_lines_and_with_no_grain():
+    def step(lines, grains):
+        at = np.linspace(-1.0, 1.0, lines)
+        traces = tuple(
+            Trace(name=f"t{k}", vertices=((-0.5, y), (0.5, y)), aperture=1e-4)
+            for k, y in enumerate(at.tolist())
+        )
+        scene = dataclasses.replace(
+            SCENE,
+            grains=dataclasses.replace(SCENE.grains, count=grains),
+            fractures=traces,
+            observe=("fracture_network",),
+        )
+        runs = make_plan([scene], stage_table()).runs
+        (found,) = (run.kind.step for run in runs if run.kind.stage == "fractures")
+        return found
+
+    assert step(20, 500) == step(20, 50_000)
+    assert step(200, 500) - step(20, 500) == pytest.approx(math.log(10) / SIZE_STEP, abs=1)
 
 
 def test_a_radius_counts_as_about_the_grains_that_it_gives():
