@@ -90,9 +90,16 @@ def controls_of(scene: Scene) -> Controls:
 
 
 def active_sources(scene: Scene) -> tuple[bool, ...]:
-    """Which sources act at all, in their order, as the stage `flow` takes them."""
+    """Which sources act at all, in their order, as the stage `flow` takes them.
+
+    All wells of a group do, whatever their rates: they share out the sum, and flow crosses from one
+    to another where it is zero.
+    """
     controls = controls_of(scene)
     rates = [any(q != 0.0 for _, q in w.rate_changes) for w in controls.wells if not w.held]
+    for block in limited_blocks(controls.wells):
+        if len(block.members) > 1:
+            rates = [acts or k in block.members for k, acts in enumerate(rates)]
     fields = [g != 0.0 for g in controls.gradient] if controls.start == "gradient" else []
     first = len(controls.side_pressures)
     held = [p != controls.reference for p in controls.fixed_pressures[:first]]

@@ -8,7 +8,8 @@ from demflow.model.history import superposed, superposed_map
 from demflow.model.limited import settled
 from demflow.model.outcome import ModelError
 from demflow.model.region import Rectangle
-from demflow.model.scene import SceneError, Well
+from demflow.model.scene import Fluid, Grains, Inflow, Matrix, Scene, SceneError, Well
+from demflow.model.stages import simulate
 from tests.controlled import Exact, Limited
 from tests.reservoirs import reservoir
 from tests.rocks import random_graph
@@ -142,6 +143,38 @@ def test_a_group_has_one_pressure_and_the_sum_of_the_rates():
     steady = ROCK.observed(wells, (("left", START),), method="steady")
     assert steady["well_pressure"][0] == pytest.approx(steady["well_pressure"][1], rel=1e-12)
     assert steady["well_rate"].sum() == pytest.approx(RATE, rel=1e-12)
+
+
+def test_a_group_shares_its_rate_whichever_of_its_wells_is_asked_for_it():
+    def answered(*rates):
+        wells = tuple(
+            Well(name=f"w{k}", at=(4.0 * k - 5.0, 1.0), radius=0.1, rate=rate, group="g")
+            for k, rate in enumerate(rates)
+        )
+        seen = simulate(
+            Scene(
+                region=Rectangle(20.0, 16.0),
+                grains=Grains(count=300, porosity=0.17),
+                matrix=Matrix(permeability=1e-13),
+                fluid=Fluid(1e-3, 2e9),
+                wells=wells,
+                boundaries=(("left", START), ("top", Inflow(inflow=2e-6))),
+                initial_pressure=START,
+                times=tuple(np.geomspace(1.0, 1e5, 16)),
+                observe=("well_pressure", "boundary_flow"),
+            )
+        )
+        assert seen["mass_balance_error"] < 1e-9
+        return seen
+
+    even, one = answered(RATE, RATE, RATE), answered(0.0, 3.0 * RATE, 0.0)
+    for name in ("well_pressure", "well_rate", "boundary_flow"):
+        np.testing.assert_allclose(one[name], even[name], rtol=1e-9, atol=1e-15)
+    assert np.all(one["well_rate"] > 0.0)
+    crossing = answered(0.0, 0.0, 0.0)  # from the side with the inflow to the one at a pressure
+    np.testing.assert_allclose(crossing["well_rate"].sum(axis=0), 0.0, atol=1e-15)
+    assert np.ptp(crossing["well_pressure"], axis=0).max() < 1e-6 * START
+    assert np.abs(crossing["well_rate"][:, -1]).max() > 0.01 * RATE
 
 
 def test_a_group_has_the_narrowest_limits_of_its_wells():
