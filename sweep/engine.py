@@ -133,6 +133,7 @@ def run_study(
     how = _How(workers, scheduler, retry_failed, force)
     prepared = prepare(path, results, smoke=smoke, table=table, create=True)
     root = prepared.store.root.parent
+    stages = prepared.plan.stages  # planned before the folder is locked: it may take long
     with ExitStack() as held:
         with _nothing_run_yet(prepared):
             held.enter_context(FolderLock(root, f"demflow run {prepared.study.name}"))
@@ -144,7 +145,7 @@ def run_study(
             if tell and (message := inherited(prepared.store, prepared.plan)):
                 tell(message)
             note(prepared.store, prepared.study, prepared.plan)
-            note_origins(prepared.store, prepared.plan.stages)
+            note_origins(prepared.store, stages)
         held.push(lambda kind, *_: _remove_partial(prepared) if kind else None)
         executed, damaged = None, []
         for _ in range(ROUNDS):
@@ -348,7 +349,7 @@ def _finished(prepared: Project, verdicts: list[Verdict]) -> Finished:
     dataset = prepared.folder / DATASET_FILE
     return Finished(
         folder=prepared.folder,
-        cases=prepared.plan.count,
+        cases=sum(v.status is not Status.LEFT_OUT for v in verdicts),
         failed=int(np.count_nonzero(bad)),
         inaccurate=int(np.count_nonzero(bad & off)),
         missing=sum(v.status is Status.NOT_RUN for v in verdicts),
@@ -367,7 +368,7 @@ def check_is_of(path: Path, prepared: Project) -> None:
     from demflow.sweep.dataset.file import difference
 
     study = prepared.study
-    why = difference(path, study, prepared.plan)
+    why = difference(path, study, lambda: prepared.plan)
     if why is not None:
         raise ResultsError(
             f"{path} is not the dataset of {study.path}: {why}. `demflow run {study.path}` makes "

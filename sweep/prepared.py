@@ -38,11 +38,19 @@ class Project:
     """A study, its plan, and what of it is stored."""
 
     study: Study
-    plan: Plan
     store: Store
     folder: Path  # results/<study>
     scene_of: Callable[[int], Scene]
     table: str = MODEL  # where the table of stages lies
+    tell: Callable[[str], None] | None = None  # hears what takes long
+
+    @functools.cached_property
+    def plan(self) -> Plan:
+        """All distinct stage runs of the study, made when first asked for.
+
+        What draws a dataset that is known to be the study's needs none.
+        """
+        return planned(self.study, with_origins(stage_table(self.table), self.store), self.tell)
 
     def costs(self) -> Costs:
         """What stage runs cost so far on this machine."""
@@ -107,7 +115,7 @@ def prepare(
     create: bool = False,
     tell: Callable[[str], None] | None = None,
 ) -> Project:
-    """Read a study, make its plan and open the store of its results; `tell` hears what takes long.
+    """Read a study and open the store of its results; its plan is made when first asked for.
 
     Nothing is written unless `create` says so. Raises StudyError, StoreError.
 
@@ -118,7 +126,7 @@ def prepare(
     smoke : whether the overrides under `smoke:` hold
     table : the table of stages, as `module:name`
     create : whether the folder of results is made
-    tell : hears what takes long
+    tell : hears what takes long of planning
     """
     study = load_study(path, smoke=smoke)
     builder = SceneBuilder(study.values, study.axes)
@@ -129,8 +137,7 @@ def prepare(
 
     root = Path(results)
     store = Store.open(root / "store", create=create)
-    plan = planned(study, with_origins(stage_table(table), store), tell)
-    return Project(study, plan, store, root / study.name, scene_of, table)
+    return Project(study, store, root / study.name, scene_of, table, tell)
 
 
 def planned(

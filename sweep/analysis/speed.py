@@ -15,8 +15,6 @@ import xarray as xr
 from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import axes
 from demflow.sweep.analysis.compare import MapsOf, SceneOf, comparison_problem
-from demflow.sweep.analysis.linear_flow import compare_linear
-from demflow.sweep.analysis.radial_flow import compare_radial
 from demflow.sweep.analysis.table import Table, table
 from demflow.sweep.study.load import Study
 
@@ -203,6 +201,10 @@ def _model_error(
     chosen = {**here, roles.solver: [best]}
     cases = part.isel({roles.solver: [best]})
     scene = scene_of(whole({axis: 0 for axis in axes(cases)}))
+    # with the special functions of closed forms, which few studies need
+    from demflow.sweep.analysis.linear_flow import compare_linear
+    from demflow.sweep.analysis.radial_flow import compare_radial
+
     if comparison_problem(scene, "linear") is None:
         linear = compare_linear(cases, lambda i: scene_of(whole(i)), lambda i: maps_of(whole(i)))
         return "Eq. 24", linear.rms

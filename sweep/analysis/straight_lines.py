@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import stats
 
 from demflow.model.transient import bourdet_derivative, log_time
 from demflow.sweep.analysis.regimes import detect_regimes
@@ -89,6 +88,8 @@ def straight_line(
     if np.count_nonzero(on_it) < 3:
         raise ValueError(f"only {np.count_nonzero(on_it)} points lie on the line; give more")
     x = _logarithms(t[now][on_it], known)
+    from scipy import stats  # imported only where a line is drawn
+
     fit = stats.linregress(x, change[on_it])
     slope = float(fit.slope)
     if slope <= 0.0:

@@ -168,14 +168,15 @@ def below_zero(path: Path) -> tuple[str, ...]:
     return ()
 
 
-def difference(path: Path, study: Study, plan: Plan) -> str | None:
+def difference(path: Path, study: Study, plan_of: Callable[[], Plan]) -> str | None:
     """Why the dataset at `path` is not that of the cases of a study, None where it is.
 
     Parameters
     ----------
     path : of the dataset
     study : the study, read and checked
-    plan : all distinct stage runs of the study
+    plan_of : gives all distinct stage runs of the study; called only where its text is another
+        than that of the dataset and its axes are the same
     """
     with netCDF4.Dataset(path) as file:
         known = {name: str(file.getncattr(name)) for name in file.ncattrs()}
@@ -192,4 +193,4 @@ def difference(path: Path, study: Study, plan: Plan) -> str | None:
                     np.asarray(file[coordinate.name][...]), coordinate.values
                 ):
                     return f"it has other values of {axis.name}"
-    return None if known.get("plan_sha256") == plan.digest() else "its scene is another"
+    return None if known.get("plan_sha256") == plan_of().digest() else "its scene is another"

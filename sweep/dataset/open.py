@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from demflow.model.maps import case_maps
 from demflow.model.products import build
 from demflow.model.quantities import COORDINATES, MAPS, TESTS, X_NAME, Y_NAME
 from demflow.model.scene import Scene
@@ -128,6 +127,8 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
         except (DamagedError, OSError) as error:
             why = f"{error}; `demflow run` computes what is damaged again"
             raise ResultsError(f"the case's {stage.name} cannot be read: {why}") from error
+    from demflow.model.maps import case_maps  # with Numba, which numbers of a study do not need
+
     return _dataset(study, scene, case_maps(scene, products), index)
 
 

@@ -20,12 +20,9 @@ from demflow.model.scene import Scene, Well, holes_of
 from demflow.sweep.analysis.cases import Index, axes, case_title, done
 from demflow.sweep.analysis.cases import events as events_of
 from demflow.sweep.analysis.compare import ComparisonError, MapsOf, SceneOf
-from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
-from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
 from demflow.sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
 from demflow.sweep.analysis.table import Table
 from demflow.sweep.dataset.open import open_case
-from demflow.sweep.figures.comparisons import draw_linear, draw_radial
 from demflow.sweep.figures.events import draw_events
 from demflow.sweep.figures.failure import draw_failure
 from demflow.sweep.figures.holes import draw_forces, draw_inflow
@@ -259,6 +256,11 @@ def _compare(
     dataset: xr.Dataset, kind: str, scene_of: SceneOf, maps_of: MapsOf, folder: Path
 ) -> Path:
     """Draw the comparison that the study asks for, with its tables beside it."""
+    # with the special functions of closed forms, which no other figure needs
+    from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
+    from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
+    from demflow.sweep.figures.comparisons import draw_linear, draw_radial
+
     path = folder / f"compare_{kind}.png"
     tables: list[Table]
     if kind == "linear":

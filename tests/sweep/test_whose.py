@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from demflow.model.outcome import Status
-from demflow.sweep import engine
+from demflow.sweep import engine, prepared
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.store.products import StoreError
@@ -52,6 +54,38 @@ def test_a_report_is_of_the_studys_own_dataset(tmp_path):
         report(path, results)
     # what is there can be drawn still
     assert report(results / "toy" / "study.yaml", results).cases == 2
+
+
+def test_a_dataset_that_is_known_by_its_study_needs_no_plan(tmp_path, monkeypatch):
+    path, results = study(tmp_path, rates=(1.0, 2.0)), tmp_path / "results"
+    toys.run(path, results)
+    planned, made = prepared.planned, []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return planned(*arguments)
+
+    monkeypatch.setattr(prepared, "planned", counted)
+    drawn = report(path, results)
+    assert (drawn.cases, drawn.failed, drawn.missing, made) == (2, 0, 0, [])
+    # the same cases in other words are told apart from other cases by the plan alone
+    path.write_text(path.read_text().replace("title: Toy", "title: Another title"))
+    assert (report(path, results).cases, len(made)) == (2, 1)
+    path.write_text(path.read_text().replace("count: 50", "count: 51"))
+    with pytest.raises(ResultsError, match="its scene is another"):
+        report(path, results)
+    assert len(made) == 2
+
+
+def test_drawing_imports_only_what_it_draws_with():
+    code = (
+        "import sys\n"
+        "import demflow.sweep.figures, demflow.sweep.report\n"
+        "heavy = {'numba', 'scipy.stats', 'scipy.special', 'scipy.spatial', 'dask',\n"
+        "         'distributed', 'matplotlib.backends.backend_pdf'} & set(sys.modules)\n"
+        "assert not heavy, heavy\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_smoke_run_leaves_the_whole_dataset_alone(tmp_path):
