@@ -293,6 +293,22 @@ class Results:
         panel = plot_map(self._dataset, _axes(ax), time)
         return _with_bar(panel, panel.collections[0]) if bar else panel
 
+    def animate(self, path: str | Path, breaks: xr.Dataset | None = None) -> Path:
+        """Write pressure in time, of maps that `open_case` gives, as GIF or MP4; return the path.
+
+        Parameters
+        ----------
+        path : its suffix, .gif or .mp4 (which needs ffmpeg), tells which.
+        breaks : `event_time` (s), `event_x` and `event_y` (m) of what broke, drawn over the maps.
+
+        At most 40 recorded times are drawn. Raises ResultsError where there are no two.
+        """
+        from demflow.sweep.figures.animation import draw_animation
+        from demflow.sweep.figures.style import house_style
+
+        with house_style():
+            return draw_animation(self._dataset, Path(path), breaks=breaks)
+
     def plot_forces(self, ax: Axes | None = None) -> Axes:
         """Draw chains of normal forces, of maps that `open_case` gives; return the axes."""
         from demflow.sweep.figures.holes import plot_forces

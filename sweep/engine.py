@@ -272,7 +272,7 @@ def draw_figures(
     ----------
     path : of the study
     results : folder that holds the results of all studies
-    kind : png, svg or pdf
+    kind : png, svg or pdf; gif or mp4: the maps of pressure in time, and nothing else
     width : column or page, of a journal; empty: as wide as what is drawn needs
     smoke : whether the overrides under `smoke:` hold
     table : the table of stages, as `module:name`
@@ -281,17 +281,18 @@ def draw_figures(
     -------
     Where the figures lie, and what could not be drawn.
 
-    Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset, or
-    one of other cases than the study's.
+    Raises StudyError, StoreError, LockedError, and ResultsError where there is no dataset, one of
+    other cases than the study's, or nothing to animate.
     """
     prepared = prepare(path, results, smoke=smoke, table=table)
     _own_dataset(prepared)
     from demflow.sweep.dataset.open import open_results
-    from demflow.sweep.figures import Form, write_figures
+    from demflow.sweep.figures import Form, write_animations, write_figures
 
+    write = write_animations if kind in ("gif", "mp4") else write_figures
     with FolderLock(prepared.folder.parent, f"demflow figures {prepared.study.name}"):
         dataset = open_results(prepared.folder)
-        drawn = write_figures(dataset, prepared.folder, prepared.study, Form(kind, width))
+        drawn = write(dataset, prepared.folder, prepared.study, Form(kind, width))
     return drawn.paths, drawn.messages
 
 

@@ -174,8 +174,14 @@ def parser() -> argparse.ArgumentParser:
     add_results(add(collect))
     add_results(add(report))
     drawing = add_results(add(figures))
-    drawing.add_argument(
+    kinds = drawing.add_mutually_exclusive_group()
+    kinds.add_argument(
         "--format", choices=("png", "svg", "pdf"), default="pdf", help="by default pdf"
+    )
+    kinds.add_argument(
+        "--animate",
+        choices=("gif", "mp4"),
+        help="the maps of pressure in time instead; mp4 needs ffmpeg",
     )
     drawing.add_argument(
         "--width",

@@ -232,13 +232,13 @@ def report(options: argparse.Namespace) -> int:
 
 
 def figures(options: argparse.Namespace) -> int:
-    """Draw the figures as PNG, SVG or PDF, for a column or a page."""
+    """Draw the figures as PNG, SVG or PDF, for a column or a page; or maps that move."""
     from demflow.sweep.engine import draw_figures
 
     paths, messages = draw_figures(
         options.study,
         options.results,
-        kind=options.format,
+        kind=options.animate or options.format,
         width=options.width or "",
         smoke=options.smoke,
     )

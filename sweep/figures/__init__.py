@@ -7,7 +7,7 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
@@ -23,6 +23,7 @@ from demflow.sweep.analysis.compare import ComparisonError, MapsOf, SceneOf
 from demflow.sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
 from demflow.sweep.analysis.table import Table
 from demflow.sweep.dataset.open import open_case
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.events import draw_events
 from demflow.sweep.figures.failure import draw_failure
 from demflow.sweep.figures.holes import draw_forces, draw_inflow
@@ -41,7 +42,7 @@ from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
 from demflow.sweep.study.reservoir import Rock
 
-__all__ = ["Figures", "Form", "maps_reader", "write_figures"]
+__all__ = ["Figures", "Form", "maps_reader", "write_animations", "write_figures"]
 
 MOST_MAPS = 4  # cases whose maps are drawn
 LONGEST_NAME = 80  # letters of a well in the name of a file
@@ -99,7 +100,72 @@ def write_figures(
     ------
     StoreError : `figures` is a link. OSError.
     """
-    folder = Path(results_dir) / "figures"
+    read = maps_of or maps_reader(dataset, Path(results_dir))
+    return _replaced(
+        Path(results_dir),
+        form,
+        lambda folder, messages: _draw(dataset, read, study, folder, messages, form),
+    )
+
+
+def write_animations(
+    dataset: xr.Dataset, results_dir: Path, study: Study, form: Form, maps_of: MapsOf | None = None
+) -> Figures:
+    """Write the pressure maps of a few cases in time into a folder of their own in `figures/`.
+
+    Parameters
+    ----------
+    dataset : the study's dataset.
+    results_dir : the study's folder, where the maps of its cases are found.
+    study : for the scenes of its cases.
+    form : its format gif or mp4.
+    maps_of : reads the maps of a case, where others read them too.
+
+    Returns
+    -------
+    The files, those of an earlier run replaced.
+
+    Raises
+    ------
+    ResultsError : no case that would be drawn has maps at two times, or MP4 without ffmpeg.
+    StoreError : `figures` is a link. OSError.
+    """
+    # what writes moving pictures takes a while to import, and few ask for it
+    from demflow.sweep.figures.animation import check_kind, draw_animation, is_moving
+
+    check_kind(form.format)
+    read = maps_of or maps_reader(dataset, Path(results_dir))
+
+    def draw(folder: Path, _messages: list[str]) -> list[Path]:
+        drawn: list[Path] = []
+        with house_style(form):
+            corners = representative_cases(dataset) if _any_done(dataset) else []
+            for k, index in enumerate(corners):
+                scene = case_at(study, [index[axis.name] for axis in study.axes]).scene
+                if "pressure_map" in scene.observe and is_moving(read(index)):
+                    title = f"{study.title}\n{case_title(dataset, index)}".strip()
+                    path = folder / f"pressure_map_{k}.{form.format}"
+                    broken = events_of(dataset, index) if "event_time" in dataset else None
+                    drawn.append(draw_animation(read(index), path, scene, title, broken))
+        if not drawn:
+            raise ResultsError(
+                "there is nothing to animate: no case that is done has maps of pressure at two "
+                "times or more; give the study `observe: [pressure_map]` and times, and run it"
+            )
+        return drawn
+
+    return _replaced(Path(results_dir), form, draw)
+
+
+def _any_done(dataset: xr.Dataset) -> bool:
+    return bool(np.any(dataset["status"].values == Status.DONE))
+
+
+def _replaced(
+    results_dir: Path, form: Form, draw: Callable[[Path, list[str]], list[Path]]
+) -> Figures:
+    """What is drawn into a folder aside takes the place of what an earlier run drew."""
+    folder = results_dir / "figures"
     check_folder(folder)
     if form != FOR_REPORT:
         folder /= form.suffix
@@ -109,8 +175,7 @@ def write_figures(
     try:
         aside.mkdir(parents=True)
         messages: list[str] = []
-        maps_of = maps_of or maps_reader(dataset, Path(results_dir))
-        drawn = _draw(dataset, maps_of, study, aside, messages, form)
+        drawn = draw(aside, messages)
         tables = sorted(aside.glob("*.csv"))
         messages += replace_files(folder, {path.name: path for path in [*drawn, *tables]})
     finally:
@@ -127,7 +192,7 @@ def _draw(
     form: Form,
 ) -> list[Path]:
     """Draw the figures into a folder; returns them, in the order of a report."""
-    if not np.any(dataset["status"].values == Status.DONE):
+    if not _any_done(dataset):
         return []
 
     def scene_of(index: Index) -> Scene:

@@ -11,8 +11,14 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import EllipseCollection, LineCollection, PolyCollection
+from matplotlib.collections import (
+    EllipseCollection,
+    LineCollection,
+    PathCollection,
+    PolyCollection,
+)
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Circle as CirclePatch
 from matplotlib.patches import Patch
@@ -126,14 +132,20 @@ def draw_pores(panel: Axes, pores: Pores, values: np.ndarray, norm: Normalize) -
     values : (domain,), in the unit of the colours
     norm : limits of the colours
     """
+    return panel.imshow(
+        coloured(pores, values, norm), extent=pores.extent, origin="lower",
+        interpolation="nearest", zorder=1,
+    )  # fmt: skip
+
+
+def coloured(pores: Pores, values: np.ndarray, norm: Normalize) -> np.ndarray:
+    """RGBA bytes of each pixel, see `draw_pores`, (rows, columns, 4)."""
     # each pore's colour is found once, and not each pixel's; none at the end, where -1 points
     colours = np.zeros((len(values) + 1, 4), dtype=np.uint8)
     colours[:-1] = colormaps[SEQUENTIAL](norm(values), bytes=True)
     colours[:-1][~np.isfinite(values)] = 0
-    return panel.imshow(
-        colours[pores.number], extent=pores.extent, origin="lower", interpolation="nearest",
-        zorder=1,
-    )  # fmt: skip
+    found: np.ndarray = colours[pores.number]
+    return found
 
 
 def colour_limits(values: np.ndarray) -> tuple[float, float]:
@@ -149,9 +161,9 @@ def colour_limits(values: np.ndarray) -> tuple[float, float]:
     return float(low if low - least > room else least), float(high if most - high > room else most)
 
 
-def _readable(pressure: np.ndarray, scene: Scene) -> tuple[np.ndarray, float, str]:
+def readable(pressure: np.ndarray, scene: Scene | None) -> tuple[np.ndarray, float, str]:
     """What to colour, its factor and label: the pressure, or its change where that is small."""
-    initial = scene.uniform_pressure
+    initial = scene.uniform_pressure if scene is not None else None
     if initial is None or np.nanmax(np.abs(pressure - initial)) > SMALL_CHANGE * abs(initial):
         return pressure, *label("pressure", pressure)
     change = pressure - initial
@@ -194,52 +206,10 @@ def draw_maps(
             ["steady state"],
             np.array([np.inf]),
         )
-    pressure, factor, name = _readable(pressure, scene)
-    pores = pores_on_pixels(maps)
-    low, high = colour_limits(pressure * factor)
-    norm = Normalize(low, high)
-    columns = 1 if narrow() and len(titles) == 1 else min(len(titles), 2 if narrow() else 4)
-    columns = 2 if len(titles) == 4 else 3 if len(titles) in (5, 6) and not narrow() else columns
-    rows = -(-len(titles) // columns)
-    xmin, xmax, ymin, ymax = bounding_box(scene.region)
-    margin = 0.03 * max(xmax - xmin, ymax - ymin)
-    aspect = (ymax - ymin + 2 * margin) / (xmax - xmin + 2 * margin)
-    side = {1: 4.4, 2: 3.6}.get(columns, 3.0)
-    over = 0.15 + 0.2 * len(heading.splitlines()) if not WIDTHS.get(form().width) else 0.05
-    figure, panels = fixed_panels(
-        rows, columns, (side / max(aspect / 2.0, 1.0), side * min(aspect, 2.0)),
-        between=(0.12, 0.32), margins=(0.7, 1.15, 0.55, 0.3 + over), shown=len(titles),
-    )  # fmt: skip
-    for panel, field, title, time in zip(panels, pressure, titles, until, strict=True):
-        outline, *_ = [panel.add_patch(rim) for rim in rims(scene)]
-        image = draw_pores(panel, pores, field * factor, norm)
-        image.set_clip_path(outline)
-        _grains(panel, maps, scene)
-        draw_traces(panel, maps)
-        _barriers(panel, scene)
-        for collection in panel.collections:
-            collection.set_clip_path(outline)
-        if breaks is not None:
-            _breaks(panel, breaks, time)
-        draw_wells(panel, maps)
-        panel.set(
-            xlim=(xmin - margin, xmax + margin),
-            ylim=(ymin - margin, ymax + margin),
-            aspect="auto",  # the panel has that of the region
-            title=title,
-        )
-        panel.grid(False)
-    few_ticks(panels, columns)
-    for panel in panels[-columns:]:
-        panel.set_xlabel("x (m)")
-    for panel in panels[::columns]:
-        panel.set_ylabel("y (m)")
-    beyond = (bool(np.nanmin(pressure) * factor < low), bool(np.nanmax(pressure) * factor > high))
-    width, height = figure.get_size_inches()
-    bar = figure.add_axes((1.0 - 1.0 / width, 0.55 / height, 0.16 / width, 1 - 1.1 / height))
-    colours = ScalarMappable(norm, SEQUENTIAL)
-    figure.colorbar(colours, cax=bar, label=name, extend=_EXTEND[beyond])
-    title_over(figure, heading, fontsize=10.5)
+    pressure, factor, name = readable(pressure, scene)
+    drawn = draw_fields(
+        maps, scene, heading, Fields(pressure * factor, name, titles, until), breaks, len(titles)
+    )
     shown = ", ".join(titles)
     caption = f"Pore pressure, {heading.replace(chr(10), ', ')}: {shown}. Each polygon is a pore"
     barriers = [_is_barrier(fracture) for fracture in scene.fractures]
@@ -247,9 +217,100 @@ def draw_maps(
     caption += ", dashed black lines are barriers" if any(barriers) else ""
     caption += ", white dots are what broke until then" if breaks is not None else ""
     caption += ", wells are circles." if scene.wells else "."
-    if any(beyond):
+    if any(drawn.beyond):
         caption += f" Colours end at the percentiles {CLIP[0]:g} and {CLIP[1]:g}."
-    return save(figure, path, caption)
+    return save(drawn.figure, path, caption)
+
+
+class Fields(NamedTuple):
+    """Fields over the pores of one case."""
+
+    values: np.ndarray  # (time, domain), in the unit of the colours
+    name: str  # at the colours
+    titles: Sequence[str]  # of each time
+    until: np.ndarray  # (time,) s
+
+
+class Drawn(NamedTuple):
+    """Panels of fields, and what changes on them in time."""
+
+    figure: Figure
+    panels: list[Axes]
+    images: list[AxesImage]
+    breaks: list[PathCollection]  # none where nothing broke
+    pores: Pores
+    norm: Normalize
+    beyond: tuple[bool, bool]  # whether values lie below and above the colours
+
+
+def draw_fields(
+    maps: xr.Dataset,
+    scene: Scene | None,
+    heading: str,
+    fields: Fields,
+    breaks: xr.Dataset | None,
+    count: int,
+) -> Drawn:
+    """Panels of the first `count` times, with colours for all of them.
+
+    Parameters
+    ----------
+    maps : of one case, with the mesh of its domains
+    scene : its scene; without one no rims, grains and barriers are drawn
+    heading : over all panels
+    fields : what to colour
+    breaks : see `draw_maps`
+    count : of panels
+    """
+    pores = pores_on_pixels(maps)
+    low, high = colour_limits(fields.values)
+    norm = Normalize(low, high)
+    columns = 1 if narrow() and count == 1 else min(count, 2 if narrow() else 4)
+    columns = 2 if count == 4 else 3 if count in (5, 6) and not narrow() else columns
+    rows = -(-count // columns)
+    xmin, xmax, ymin, ymax = pores.extent if scene is None else bounding_box(scene.region)
+    margin = 0.03 * max(xmax - xmin, ymax - ymin)
+    aspect = (ymax - ymin + 2 * margin) / (xmax - xmin + 2 * margin)
+    side = {1: 4.4, 2: 3.6}.get(columns, 3.0)
+    over = 0.15 + 0.2 * len(heading.splitlines()) if not WIDTHS.get(form().width) else 0.05
+    figure, panels = fixed_panels(
+        rows, columns, (side / max(aspect / 2.0, 1.0), side * min(aspect, 2.0)),
+        between=(0.12, 0.32), margins=(0.7, 1.15, 0.55, 0.3 + over), shown=count,
+    )  # fmt: skip
+    images: list[AxesImage] = []
+    dots: list[PathCollection] = []
+    for k, panel in enumerate(panels):
+        outlines = [panel.add_patch(rim) for rim in (rims(scene) if scene is not None else ())]
+        images.append(draw_pores(panel, pores, fields.values[k], norm))
+        if scene is not None:
+            _grains(panel, maps, scene)
+        draw_traces(panel, maps)
+        if scene is not None:
+            _barriers(panel, scene)
+        for part in (images[-1], *panel.collections) if outlines else ():
+            part.set_clip_path(outlines[0])
+        if breaks is not None:
+            dots.append(_breaks(panel, breaks, fields.until[k]))
+        draw_wells(panel, maps)
+        panel.set(
+            xlim=(xmin - margin, xmax + margin),
+            ylim=(ymin - margin, ymax + margin),
+            aspect="auto",  # the panel has that of the region
+            title=fields.titles[k],
+        )
+        panel.grid(False)
+    few_ticks(panels, columns)
+    for panel in panels[-columns:]:
+        panel.set_xlabel("x (m)")
+    for panel in panels[::columns]:
+        panel.set_ylabel("y (m)")
+    beyond = (bool(np.nanmin(fields.values) < low), bool(np.nanmax(fields.values) > high))
+    width, height = figure.get_size_inches()
+    bar = figure.add_axes((1.0 - 1.0 / width, 0.55 / height, 0.16 / width, 1 - 1.1 / height))
+    colours = ScalarMappable(norm, SEQUENTIAL)
+    figure.colorbar(colours, cax=bar, label=fields.name, extend=_EXTEND[beyond])
+    title_over(figure, heading, fontsize=10.5)
+    return Drawn(figure, panels, images, dots, pores, norm, beyond)
 
 
 def plot_map(maps: xr.Dataset, panel: Axes, time: float | None = None) -> Axes:
@@ -346,18 +407,22 @@ def draw_traces(panel: Axes, maps: xr.Dataset) -> None:
         panel.add_collection(lines)
 
 
-def _breaks(panel: Axes, breaks: xr.Dataset, time: float) -> None:
+def _breaks(panel: Axes, breaks: xr.Dataset, time: float) -> PathCollection:
     """The breaks until a time, s."""
-    until = breaks["event_time"].values <= time
-    panel.scatter(
-        breaks["event_x"].values[until],
-        breaks["event_y"].values[until],
+    return panel.scatter(
+        *broken_until(breaks, time).T,
         s=7.0,
         color="white",
         edgecolors=BLACK,
         linewidths=0.4,
         zorder=4.5,
     )
+
+
+def broken_until(breaks: xr.Dataset, time: float) -> np.ndarray:
+    """Places of the breaks until a time (s), (event, 2) m."""
+    until = breaks["event_time"].values <= time
+    return np.stack([breaks[f"event_{axis}"].values[until] for axis in "xy"], axis=1)
 
 
 def _is_barrier(fracture: Fracture) -> bool:

@@ -188,8 +188,7 @@ def save(figure: Figure, path: Path, caption: str) -> Path:
     """
     form = _FORM.get()
     path = path.with_suffix(f".{form.format}")
-    for text in _words(figure):
-        text.set_text(printable_lines(text.get_text()))
+    make_printable(figure)
     for panel in figure.axes:
         for axis in (panel.xaxis, panel.yaxis):
             if isinstance(axis.get_major_formatter(), LogFormatterMathtext):
@@ -210,6 +209,12 @@ def save(figure: Figure, path: Path, caption: str) -> Path:
     options = {"pil_kwargs": {"compress_level": 3}} if form.format == "png" else {}
     getattr(canvas, f"print_{form.format}")(path, metadata=described[form.format], **options)
     return path
+
+
+def make_printable(figure: Figure) -> None:
+    """Nothing in the words of a figure that is no letter, before it is drawn."""
+    for text in _words(figure):
+        text.set_text(printable_lines(text.get_text()))
 
 
 def _words(figure: Figure) -> Iterator[Text]:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import re
+from itertools import pairwise
 
 import matplotlib
 import numpy as np
@@ -14,8 +15,10 @@ from PIL import Image
 
 import demflow.sweep.figures as figures
 from demflow.model.region import contains
+from demflow.sweep.analysis.cases import with_unit
+from demflow.sweep.errors import ResultsError
+from demflow.sweep.figures import animation, representative_cases, write_figures
 from demflow.sweep.figures import maps as map_figures
-from demflow.sweep.figures import representative_cases, write_figures
 from demflow.sweep.figures.permeability import draw_permeability
 from demflow.sweep.figures.style import WIDTHS, Form, house_style, is_log_spaced, label, pick
 from demflow.sweep.figures.wells import draw_well
@@ -403,3 +406,80 @@ def test_figures_have_the_width_of_the_journal_and_text_stays_text(results, widt
         assert points == pytest.approx(72 * WIDTHS[width], abs=0.5)
         assert "<text" in text
     assert "permeability" in "".join(path.read_text() for path in drawn)
+
+
+def _frames(path):
+    with Image.open(path) as image:
+        seen = []
+        for k in range(image.n_frames):
+            image.seek(k)
+            seen.append(np.asarray(image.convert("RGB")))
+    return seen
+
+
+def test_an_animation_has_a_frame_a_time_and_the_same_bytes_each_time(results):
+    study, dataset, folder = results(RADIAL)
+    first = figures.write_animations(dataset, folder, study, Form("gif")).paths
+    assert {path.parent for path in first} == {folder / "figures" / "gif"}
+    assert names(first) == ["pressure_map_0.gif", "pressure_map_1.gif"]
+    content = [path.read_bytes() for path in first]
+    again = figures.write_animations(dataset, folder, study, Form("gif")).paths
+    assert [path.read_bytes() for path in again] == content
+    frames = _frames(first[0])
+    assert len(frames) == len(invented_maps(study, (0,), spacing=2.4)["elapsed_time"])
+    assert all(max(frame.shape) <= animation.MOST_PIXELS for frame in frames)
+    assert all(np.any(a != b) for a, b in pairwise(frames))
+
+
+def test_frames_are_the_maps_of_their_times(results, monkeypatch):
+    study, _, folder = results(RADIAL)
+    maps = invented_maps(study, (0,), spacing=2.4)
+    times = maps["elapsed_time"].values
+    monkeypatch.setattr(animation, "MOST_FRAMES", 2)
+    breaks = xr.Dataset(
+        {f"event_{of}": ("event", [at, 1e9]) for of, at in (("time", times[1]), ("x", 3.0))}
+        | {"event_y": ("event", [-4.0, 0.0])}
+    )
+    seen = []
+
+    class Writer(animation.PillowWriter):
+        def grab_frame(self, **options):
+            panel = self.fig.axes[0]
+            (dots,) = (c for c in panel.collections if isinstance(c, PathCollection))
+            found = _colours_at(panel, maps["x"].values, maps["y"].values)
+            seen.append((panel.get_title(), found, dots.get_offsets().tolist()))
+            super().grab_frame(**options)
+
+    monkeypatch.setattr(animation, "PillowWriter", Writer)
+    path = folder / "m.gif"
+    with house_style():
+        animation.draw_animation(maps, path, case_at(study, (0,)).scene, "one", breaks)
+    assert len(_frames(path)) == 2
+    values = maps["pressure"].isel(elapsed_time=[0, -1]).values / 1e6
+    norm = Normalize(*map_figures.colour_limits(values))
+    for (title, found, _), field, time in zip(seen, values, times[[0, -1]], strict=True):
+        assert title == f"t = {with_unit(time, 's')}"
+        np.testing.assert_array_equal(found, colormaps["viridis"](norm(field), bytes=True))
+    assert [dots for *_, dots in seen] == [[], [[3.0, -4.0]]]
+
+
+def test_what_cannot_move_is_told(results, monkeypatch):
+    study, dataset, folder = results(RADIAL.replace(", pressure_map]", "]"))
+    with pytest.raises(ResultsError, match=r"nothing to animate.*pressure_map"):
+        figures.write_animations(dataset, folder, study, Form("gif"))
+    assert not (folder / "figures" / "gif").exists()
+    maps = invented_maps(study, (0,), spacing=2.4)
+    with pytest.raises(ResultsError, match="nothing to animate"):
+        animation.draw_animation(maps.isel(elapsed_time=[0]), folder / "m.gif")
+    with pytest.raises(ResultsError, match="gif or mp4, not webp"):
+        animation.draw_animation(maps, folder / "m.webp")
+    monkeypatch.setattr(animation.shutil, "which", lambda name: None)
+    with pytest.raises(ResultsError, match="needs the program ffmpeg"):
+        figures.write_animations(dataset, folder, study, Form("mp4"))
+
+
+def test_maps_animate_without_a_scene(results):
+    study, _, folder = results(RADIAL)
+    maps = invented_maps(study, (0,), spacing=2.4)
+    path = maps.demflow.animate(folder / "own.gif")
+    assert len(_frames(path)) == maps.sizes["elapsed_time"]
