@@ -224,7 +224,7 @@ class March:
                 "short the step; try a smaller rate, a lower matrix.gap_factor or stronger bonds"
             )
         breaks = _worst(s, state.hold, reached.found) >= 1.0 - AT_STRENGTH
-        after = self._moved_on(state, reached, reached_dt, wells, breaks)
+        after = self._moved_on(state, reached, reached_dt, wells)
         if shortened:
             after = after._replace(dt=min(after.dt, reached_dt))
         self.before = None if breaks else (reached_dt, way.found[0][1])
@@ -300,9 +300,7 @@ class March:
         wells = float(change[self.given.well].max(initial=0.0))
         return 0.5 * max(wells, float(np.sqrt(np.mean(change**2)))) / largest
 
-    def _moved_on(
-        self, state: State, now: Balanced, dt: float, wells: Wells, breaks: bool
-    ) -> State:
+    def _moved_on(self, state: State, now: Balanced, dt: float, wells: Wells) -> State:
         """The state after a step that was found, with its ledger."""
         case, s = self.case, self.case.skeleton
         moved = flow(case, now.hold, now.found, now.p)
