@@ -90,9 +90,9 @@ CASE: dict[str, Quantity] = {
         ("row", "column"),
         "permeability tensor of the region",
         ("permeability",),
-        comment="with a pressure linear along the rim: an upper bound where fractures meet it; under "
-        "`coupling: breaking` that of apertures without stress, permeability_in_time is that of the "
-        "loaded rock",
+        comment="with a pressure linear along the rim: an upper bound where fractures meet it; "
+        "under `coupling: breaking` that of apertures without stress, permeability_in_time is that "
+        "of the loaded rock",
     ),
     "bar_permeability": Quantity(
         "m2",

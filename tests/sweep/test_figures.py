@@ -15,6 +15,7 @@ from PIL import Image
 
 import demflow.sweep.figures as figures
 from demflow.model.region import contains
+from demflow.sweep.accessor import Results
 from demflow.sweep.analysis.cases import with_unit
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures import animation, representative_cases, write_figures
@@ -481,5 +482,5 @@ def test_what_cannot_move_is_told(results, monkeypatch):
 def test_maps_animate_without_a_scene(results):
     study, _, folder = results(RADIAL)
     maps = invented_maps(study, (0,), spacing=2.4)
-    path = maps.demflow.animate(folder / "own.gif")
+    path = Results(maps).animate(folder / "own.gif")
     assert len(_frames(path)) == maps.sizes["elapsed_time"]
