@@ -409,8 +409,10 @@ def draw_traces(panel: Axes, maps: xr.Dataset) -> None:
 
 def _breaks(panel: Axes, breaks: xr.Dataset, time: float) -> PathCollection:
     """The breaks until a time, s."""
+    x, y = broken_until(breaks, time).T
     return panel.scatter(
-        *broken_until(breaks, time).T,
+        x,
+        y,
         s=7.0,
         color="white",
         edgecolors=BLACK,
