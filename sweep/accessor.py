@@ -135,6 +135,27 @@ class Results:
             chosen = chosen.isel({axis: places[0]})
         return plot_period(chosen, well, ax, since=since, until=until, time=time, pressure=pressure)
 
+    def plot_measured(
+        self, well: str, time: np.ndarray, pressure: np.ndarray, ax: Axes | None = None
+    ) -> Axes:
+        """Draw a gauge's record beside the computed pressure of its well; return the axes.
+
+        Parameters
+        ----------
+        well : name of the well.
+        time, pressure : (n,) s since the beginning of the study's times, increasing, and Pa.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+
+        Raises ResultsError where there is no such well, or no record or case to draw.
+        """
+        from demflow.sweep.figures.measured import plot_measured
+
+        self._variable("well_pressure")
+        if well not in self._dataset["well"].values:
+            there = ", ".join(map(str, self._dataset["well"].values))
+            raise ResultsError(f"there is no well {well}; there are {there}")
+        return plot_measured(self._dataset, well, time, pressure, _axes(ax))
+
     def straight_line(
         self,
         well: str,

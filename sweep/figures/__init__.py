@@ -29,6 +29,7 @@ from demflow.sweep.figures.failure import draw_failure
 from demflow.sweep.figures.holes import draw_forces, draw_inflow
 from demflow.sweep.figures.horner import draw_horner
 from demflow.sweep.figures.maps import PANELS, draw_maps
+from demflow.sweep.figures.measured import draw_measured
 from demflow.sweep.figures.permeability import draw_permeability
 from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
@@ -209,6 +210,8 @@ def _draw(
             except ComparisonError as error:
                 messages.append(f"no comparison was drawn: {error}")
         drawn += _wells(dataset, scene_of, folder)
+        for name, plain in zip(study.data, _file_names(list(study.data)), strict=True):
+            drawn.append(draw_measured(dataset, study.data[name], folder / f"measured_{plain}.png"))
         drawn.append(draw_events(dataset, folder / "events.png"))
         corners = representative_cases(dataset)
         most = PANELS if len(corners) == 1 else PANELS // 2

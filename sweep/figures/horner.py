@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from demflow.model.analytic.wellbore import horner_time
 from demflow.model.outcome import Status
 from demflow.model.scene import Well
 from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display, with_unit
@@ -51,6 +50,8 @@ def draw_horner(
     path : where the figure is written
     rock_of : rock and fluid of the case at an index, or None
     """
+    from demflow.model.analytic.wellbore import horner_time  # with special functions
+
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     colour, style = ([*varied, None, None])[:2]
     colours = pick(dataset.sizes[colour], _MOST[0]) if colour else [0]

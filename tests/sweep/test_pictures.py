@@ -149,3 +149,61 @@ def test_same_data_give_the_same_bytes(tmp_path, form):
             )
         contents.append([path.read_bytes() for path in drawn])
     assert contents[0] == contents[1]
+
+
+def falling(cases):
+    """Pressures of a well that fall by (1 + case) ln(1 + t) kPa; the last case failed."""
+    time = np.geomspace(1.0, 1e4, 9)
+    pressure = 20e6 - 1e3 * np.outer(np.arange(1, cases + 1), np.log1p(time))[:, None, :]
+    status = np.zeros(cases, dtype=int)
+    status[-1], pressure[-1] = 1, np.nan
+    return xr.Dataset(
+        {
+            "status": ("seed", status),
+            "well_pressure": (("seed", "well", "elapsed_time"), pressure, {"units": "Pa"}),
+        },
+        {"seed": np.arange(cases), "well": ["w"], "elapsed_time": time},
+    )
+
+
+def test_a_record_lies_beside_what_is_computed(panel):
+    dataset = falling(3)
+    time = np.sort(np.append(dataset.elapsed_time.values, RNG.uniform(1.0, 1e4, 40)))
+    pressure = 20e6 - 1e3 * np.log1p(time) - 250.0  # off the first case by as much
+    assert dataset.demflow.plot_measured("w", time, pressure, panel) is panel
+    record, *computed = panel.lines
+    hour, mega = 3600.0, 1e6
+    np.testing.assert_allclose(record.get_xdata() * hour, time)
+    np.testing.assert_allclose(record.get_ydata() * mega, pressure)
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("time (h)", "pressure of w (MPa)")
+    for line, own in zip(computed, dataset.well_pressure.values[:2, 0], strict=True):
+        np.testing.assert_allclose(line.get_ydata() * mega, own)
+    assert str(computed[0].get_label()).endswith("rms 250 Pa")
+    second = np.sqrt(np.mean((1e3 * np.log1p(dataset.elapsed_time.values) - 250.0) ** 2))
+    assert f"rms {second / 1e3:.3g} kPa" in str(computed[1].get_label())
+
+
+def test_a_record_beside_many_cases_has_their_median_and_band(panel):
+    dataset = falling(16)
+    time = np.array([2.0, 5.0, 9.0])
+    dataset.demflow.plot_measured("w", time, np.full(3, 19.9e6), panel)
+    _, median = panel.lines
+    own = dataset.well_pressure.values[:15, 0]
+    np.testing.assert_allclose(median.get_ydata() * 1e6, np.median(own, axis=0))
+    (band,) = panel.collections
+    y = band.get_paths()[0].vertices[:, 1] * 1e6
+    np.testing.assert_allclose((y.min(), y.max()), (own.min(), own.max()))
+
+
+@pytest.mark.parametrize(
+    ("well", "time", "pressure", "why"),
+    [
+        ("v", [1.0, 2.0], [1e6, 1e6], "no well v; there are w"),
+        ("w", [2.0, 1.0], [1e6, 1e6], "must increase"),
+        ("w", [1.0, 2.0], [1e6, np.nan], "finite"),
+        ("w", [1.0, 2.0], [1e6], "as many"),
+    ],
+)
+def test_what_is_no_record_is_refused(panel, well, time, pressure, why):
+    with pytest.raises(ResultsError, match=why):
+        falling(3).demflow.plot_measured(well, time, pressure, panel)
