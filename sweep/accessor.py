@@ -183,7 +183,8 @@ class Results:
         rates : (time in s, new rate in m³/s) of the well; without it the rate is one.
         between : s since the period began; by default the radial stretch of the derivative.
 
-        Raises ResultsError where there is no such well or plot, or the rate changes untold.
+        Raises ResultsError where there is no such well or plot, the rate changes untold, or `rates`
+        are others than the well's own.
         """
         from demflow.sweep.analysis.straight_lines import PLOTS, StraightLine, straight_line
 
@@ -194,7 +195,9 @@ class Results:
             there = ", ".join(map(str, pressure["well"].values))
             raise ResultsError(f"there is no well {well}; there are {there}")
         if rates is None:
-            self._check_rates(change.sel(well=[well]))
+            self._check_rates(change.sel(well=[well]), "give its `rates`")
+        else:
+            self._check_told(well, rates)
         times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
         told = StraightLine._fields[1:]
 
@@ -434,7 +437,33 @@ class Results:
             for axis, at in zip(counts.dims, places, strict=True)
         }
 
-    def _check_rates(self, change: xr.DataArray) -> None:
+    def _check_told(self, well: str, rates: Sequence[tuple[float, float]]) -> None:
+        """Raise ResultsError where rates told of a well are not those that it has."""
+        when, new = np.array(rates, dtype=float).reshape(-1, 2).T
+        if not len(when) or np.any(np.diff(when) <= 0.0):
+            raise ResultsError("rates are pairs (time in s, rate in m³/s), times increasing")
+        times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
+        said = np.append(0.0, new)[np.searchsorted(when, times)]
+        at_change = np.isclose(times[:, None], when, rtol=1e-9, atol=0.0).any(axis=1)
+        rate = self._variable("well_rate").sel(well=well)
+        said = xr.DataArray(np.where(at_change, np.nan, said), dims="elapsed_time")
+        off = abs(rate.drop_vars("elapsed_time") - said) > 1e-6 * np.abs(new).max()
+        at = off.any([name for name in off.dims if name != "elapsed_time"]).values
+        if at.any():
+            first = int(np.flatnonzero(at)[0])
+            other = rate.isel(elapsed_time=first).where(off.isel(elapsed_time=first))
+            raise ResultsError(
+                f"rates say {float(said[first]):.6g} m3/s after {times[first]:.6g} s, where the "
+                f"rate of {well} is {float(other.max()):.6g} m3/s; give its own, and choose cases "
+                "that have them"
+            )
+
+    def _check_rates(
+        self,
+        change: xr.DataArray,
+        instead: str = "take the dataset's own pressure_derivative, or plot_well with since= and "
+        "until=",
+    ) -> None:
         """Raise ResultsError where the rate of a well with a pressure change is not one."""
         if "well_rate" not in self._dataset:
             return
@@ -445,8 +474,7 @@ class Results:
         if bool(changing.any()):
             names = ", ".join(str(one) for one in self._dataset["well"].values[changing.values])
             raise ResultsError(
-                f"the rate of {names} changes, and a derivative is of one flow period; take the "
-                "dataset's own pressure_derivative, or plot_well with since= and until="
+                f"the rate of {names} changes, and a derivative is of one flow period; {instead}"
             )
 
     def _named(self, name: str) -> str:

@@ -154,3 +154,30 @@ def test_a_dataset_tells_them_for_each_case(rates):
         dataset.demflow.straight_line("q", **known)
     with pytest.raises(ResultsError, match="no plot hornr"):
         dataset.demflow.straight_line("p", plot="hornr", **known)
+
+
+@pytest.mark.parametrize(
+    ("rates", "told"),
+    [
+        (((0.0, 2.0 * RATES[0][1]),), "rates say 0.002 m3/s after .* where the rate of p is 0.001"),
+        (((0.0, 1e-3), (1e9, 0.0)), None),  # a change to come is none yet
+        (((0.0, 1e-3), (HOUR, 0.0)), "rates say 0 m3/s after"),
+        ((), "times increasing"),
+        (((HOUR, 1e-3), (0.0, 0.0)), "times increasing"),
+    ],
+)
+def test_rates_are_those_that_the_well_has(rates, told):
+    dataset = of_a_study(RATES[:1])
+    if told is None:
+        assert np.isnan(dataset.demflow.straight_line("p", viscosity=1e-3, rates=rates)["slope"][0])
+        return
+    with pytest.raises(ResultsError, match=told):
+        dataset.demflow.straight_line("p", viscosity=1e-3, rates=rates)
+
+
+def test_a_rate_that_changes_has_to_be_given():
+    dataset = of_a_study(RATES[:1])
+    late = dataset["elapsed_time"] > HOUR
+    changing = dataset.assign(well_rate=dataset["well_rate"].where(~late, 0.0))
+    with pytest.raises(ResultsError, match="give its `rates`"):
+        changing.demflow.straight_line("p", viscosity=1e-3)
