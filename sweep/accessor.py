@@ -443,10 +443,10 @@ class Results:
         if not len(when) or np.any(np.diff(when) <= 0.0):
             raise ResultsError("rates are pairs (time in s, rate in m³/s), times increasing")
         times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
-        said = np.append(0.0, new)[np.searchsorted(when, times)]
+        steps = np.append(0.0, new)[np.searchsorted(when, times)]
         at_change = np.isclose(times[:, None], when, rtol=1e-9, atol=0.0).any(axis=1)
         rate = self._variable("well_rate").sel(well=well)
-        said = xr.DataArray(np.where(at_change, np.nan, said), dims="elapsed_time")
+        said = xr.DataArray(np.where(at_change, np.nan, steps), dims="elapsed_time")
         off = abs(rate.drop_vars("elapsed_time") - said) > 1e-6 * np.abs(new).max()
         at = off.any([name for name in off.dims if name != "elapsed_time"]).values
         if at.any():
