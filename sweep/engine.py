@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import multiprocessing
+import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -171,7 +172,13 @@ def run_study(
             damaged=damaged,
             changed=_changed(prepared),
         )
-        return draw(prepared, finished, again=collected) if figures else finished
+        if not figures:
+            return finished
+        begin = time.perf_counter()
+        drawn = draw(prepared, finished, again=collected)
+        if finished.executed is not None:
+            _note_drawing(prepared, time.perf_counter() - begin)
+        return drawn
 
 
 def run(
@@ -474,6 +481,14 @@ def _execute(
         costs.led(peak_memory())
         with suppress(OSError):
             prepared.keep(costs)
+
+
+def _note_drawing(prepared: Project, seconds: float) -> None:
+    """Keep what figures and report took, for forecasts."""
+    costs = prepared.costs()
+    costs.drawing = seconds
+    with suppress(OSError):
+        prepared.keep(costs)
 
 
 @contextmanager

@@ -69,7 +69,10 @@ def forecast(prepared: Project, workers: int) -> dict[str, Any]:
     main = max(costs.main, peak_memory())
     compiling = COMPILING / workers if waiting and _compiles(unknown) else 0.0
     least = {
-        "seconds": (costs.start or 0.0) + compiling + _elapsed(made, left, seconds, workers),
+        "seconds": (costs.start or 0.0)
+        + compiling
+        + _elapsed(made, left, seconds, workers)
+        + (costs.drawing or 0.0),
         "bytes": sum(n * (costs.stored(kind) or kind.bytes_kept) for kind, n in waiting.items())
         + _dataset(made),
         "memory": main + workers * largest,

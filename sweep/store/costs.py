@@ -96,6 +96,7 @@ class Costs:
     def __init__(self) -> None:
         self.known: dict[str, dict[int, Spent]] = {}  # by key, then by step of the size
         self.start: float | None = None  # s until the workers of a run stood, the last time
+        self.drawing: float | None = None  # s that figures and report took, the last time
         self.main: int = 0  # memory of the process that leads a run, bytes: the least one seen
 
     @classmethod
@@ -120,13 +121,14 @@ class Costs:
                 key: {int(step): spent for step, spent in _spent(sizes) if spent.possible}
                 for key, sizes in record["stages"].items()
             }
-            start, main = record.get("start"), int(record.get("main", 0))
-            start = None if start is None or not 0.0 <= float(start) < math.inf else float(start)
+            start, drawing = (_seconds(record.get(name)) for name in ("start", "drawing"))
+            main = int(record.get("main", 0))
         except (OSError, ValueError, TypeError, AttributeError, KeyError):
             return
         for key, sizes in known.items():
             self.known[key] = self.known.get(key, {}) | sizes
         self.start = self.start if start is None else start
+        self.drawing = self.drawing if drawing is None else drawing
         self.main = main or self.main
 
     def write(self, store: Store, *, everywhere: bool = False) -> None:
@@ -134,6 +136,7 @@ class Costs:
         record = {
             "machine": machine(),
             "start": self.start,
+            "drawing": self.drawing,
             "main": self.main,
             "stages": self.known,
         }
@@ -218,6 +221,11 @@ class Costs:
 
 def _spent(sizes: dict[str, Any]) -> Iterator[tuple[str, Spent]]:
     yield from ((step, Spent(*entry)) for step, entry in sizes.items())
+
+
+def _seconds(told: Any) -> float | None:
+    """A time that a file tells, None where it is none."""
+    return None if told is None or not 0.0 <= float(told) < math.inf else float(told)
 
 
 def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float | None:

@@ -16,6 +16,7 @@ from demflow.model.amounts import held_by_flow, kept_by_flow
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Trace, Well
 from demflow.model.stages import STAGES, grain_count
 from demflow.sweep.command.forecast import forecast
+from demflow.sweep.engine import run_study
 from demflow.sweep.execution.memory import peak_memory
 from demflow.sweep.plan.graph import make_plan, stage_table
 from demflow.sweep.plan.runs import SIZE_STEP, CostClass
@@ -252,6 +253,24 @@ def test_a_forecast_after_a_few_runs_is_right_within_a_factor_of_two(tmp_path):
     assert told["memory"] > 10e6
     assert forecast(before, 2)["seconds"] == 0.0
     assert forecast(toys.prepared(many, results), 2)["bytes"] == 0
+
+
+def test_figures_and_report_count_as_they_took_the_last_time(tmp_path):
+    """What the plan tells of more cases is that much longer; a run that draws nothing keeps it."""
+    results = tmp_path / "results"
+    few = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    run_study(few, results=results, workers=1, table=toys.TABLE)
+    many = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, 2.0))
+    made = toys.prepared(many, results)
+    costs, told = made.costs(), forecast(made, 1)["at_least"]["seconds"]
+    drawing = costs.drawing
+    assert drawing is not None
+    assert 0.0 < drawing < told
+    costs.drawing = 3.0 * drawing
+    made.keep(costs)
+    assert forecast(made, 1)["at_least"]["seconds"] == pytest.approx(told + 2.0 * drawing)
+    toys.run(many, results)
+    assert toys.prepared(many, results).costs().drawing == 3.0 * drawing
 
 
 @pytest.mark.parametrize("changes", [1, 7, 60])
