@@ -392,9 +392,17 @@ CASE: dict[str, Quantity] = {
         "m", ("elapsed_time",), "largest slip of a contact of the joints", ("joint_slip",)
     ),
     "slid_joint_share": Quantity(
-        "1", ("elapsed_time",), "part of the joints' length that ever slid", ("joint_slip",)
+        "1",
+        ("elapsed_time",),
+        "part of the joints' length that slid, as the rock was loaded too",
+        ("joint_slip",),
     ),
-    "slide_events": Quantity("1", (), "contacts of joints that began to slide", ("joint_slip",)),
+    "slide_events": Quantity(
+        "1",
+        (),
+        "contacts of joints that began to slide, as the rock was loaded too",
+        ("joint_slip",),
+    ),
     "permeability_in_time": Quantity(
         "m2",
         ("elapsed_time", "row", "column"),
