@@ -169,3 +169,10 @@ def test_a_side_that_nothing_joins_is_told():
 def test_an_inflow_is_given_once_and_in_order(given):
     with pytest.raises(SceneError):
         Inflow(**given)
+
+
+def test_a_side_whose_inflow_goes_nowhere_is_told():
+    wall = Trace(name="wall", start=(0.0, -1.0), end=(0.0, 1.0), transmissibility_multiplier=0.0)
+    rock = reservoir(random_graph(1.2, 300, 3), REGION, 2e-5, (wall,))
+    with pytest.raises(ModelError, match="a side with an inflow, feeds pores that reach no fixed"):
+        rock.observed((constant("left", 1e-6),), (("right", 1e7),), method="steady")

@@ -85,8 +85,9 @@ def at_rest(problem: Problem) -> Initial:
     system = problem.system
     if without_outlet(system):
         raise ModelError(
-            "initial_pressure is steady, but a well feeds pores that reach no fixed pressure; "
-            "give a boundary pressure there, or a number as initial_pressure"
+            "initial_pressure is steady, but a well, or a side with an "
+            "inflow, feeds pores that reach no fixed pressure; give a boundary pressure there, or "
+            "a number as initial_pressure"
         )
     fixed = np.arange(system.source_count) < system.fixed_count
     found = steady(problem._replace(lag=np.array([math.inf]), active=problem.active & fixed))

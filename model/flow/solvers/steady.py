@@ -20,8 +20,8 @@ def steady(problem: Problem) -> Answer:
     system, records = problem.system, problem.records
     if without_outlet(system):
         raise ModelError(
-            "no steady state: a well feeds pores that reach no fixed pressure; give a boundary "
-            "pressure, or times for a transient"
+            "no steady state: a well, or a side with an inflow, feeds pores that reach no fixed "
+            "pressure; give a boundary pressure, or times for a transient"
         )
     symbolic = analyse(system.n, system.edge_i, system.edge_j)
     factor = factorise(symbolic, system.edge_g, system.excess)
