@@ -30,6 +30,7 @@ from demflow.sweep.figures.holes import draw_forces, draw_inflow
 from demflow.sweep.figures.horner import draw_horner
 from demflow.sweep.figures.maps import PANELS, draw_maps
 from demflow.sweep.figures.measured import draw_measured
+from demflow.sweep.figures.movement import draw_settlement, draw_slip
 from demflow.sweep.figures.permeability import draw_permeability
 from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
@@ -213,6 +214,8 @@ def _draw(
         for name, plain in zip(study.data, _file_names(list(study.data)), strict=True):
             drawn.append(draw_measured(dataset, study.data[name], folder / f"measured_{plain}.png"))
         drawn.append(draw_events(dataset, folder / "events.png"))
+        drawn.append(draw_slip(dataset, folder / "slip.png"))
+        drawn.append(draw_settlement(dataset, folder / "settlement.png"))
         corners = representative_cases(dataset)
         most = PANELS if len(corners) == 1 else PANELS // 2
         for k, index in enumerate(corners):
