@@ -57,7 +57,6 @@ def test_every_case_lies_where_its_coordinates_say(finished):
         "well": 1,
         "elapsed_time": 3,
         "component": 3,
-        "direction": 2,
         "stage": 4,
     }
     packed = {seed: toy_stages.pack(count=50, seed=seed) for seed in (1, 2)}
