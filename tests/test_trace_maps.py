@@ -98,8 +98,8 @@ def test_snapping_joins_what_falls_short_and_trims_what_reaches_over():
         assert np.abs(joined[k][:, 0] - 2 * k).max() < 0.011
 
 
-def test_a_snap_as_long_as_the_map_is_refused():
-    with pytest.raises(SceneError, match=r"snap: 100 m is more than half of the map, .* 9 m"):
+def test_a_snap_longer_than_traces_are_is_refused():
+    with pytest.raises(SceneError, match=r"snap: 100 m is longer than a trace is in"):
         traces([(0, 0), (9, 0)], [(3, 1), (3, 2)], snap=100.0)
 
 

@@ -109,12 +109,11 @@ def lay(
         if len(problems) > MOST_TOLD:
             shown.append(f"and {len(problems) - MOST_TOLD} faults more")
         raise SceneError([("file", what) for what in shown])
-    extent = float((high - low).max())
-    if snap is not None and snap > 0.5 * extent:  # all would be one, each pair compared
-        what = f"{snap:.3g} m is more than half of the map, which is {extent:.3g} m across"
-        raise SceneError([("snap", what)])
     vertices = vertices - at
     length, count = float(_lengths(vertices, first).sum()), len(first) - 1
+    if snap is not None and snap * count > length:  # ends would be joined to their own other ends
+        what = f"{snap:.3g} m is longer than a trace is in the mean, {length / count:.3g} m"
+        raise SceneError([("snap", what)])
     feature = file.feature
     if snap is not None or simplify is not None:
         vertices, first, feature = _joined(vertices, first, feature, snap or 0.0)
