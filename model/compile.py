@@ -26,8 +26,8 @@ Returned = TypeVar("Returned", covariant=True)
 
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
-# `kernel_parts` halves compiling, and builds on the inside of Numba, which may change from version
-# to version: any other compiles each kernel as Numba does, to the same bits.
+# `kernel_parts` saves a fifth of compiling or more, and builds on the inside of Numba, which may
+# change from version to version: any other compiles each kernel as Numba does, to the same bits.
 PARTS_OF = (0, 68)
 
 

@@ -302,14 +302,14 @@ class Results:
         return plot_lengths(self._dataset, _axes(ax))
 
     def plot_map(
-        self, time: float | None = None, ax: Axes | None = None, *, bar: bool = True
+        self, ax: Axes | None = None, time: float | None = None, *, bar: bool = True
     ) -> Axes:
         """Draw pressure over the pores, of maps that `open_case` gives; return the axes.
 
         Parameters
         ----------
-        time : s, the nearest recorded one; by default the last.
         ax : matplotlib Axes to draw on; by default pyplot's current.
+        time : s, the nearest recorded one; by default the last.
         bar : with a colour bar.
         """
         from demflow.sweep.figures.maps import plot_map
