@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from demflow import sweep
+from demflow.model import maps as model_maps
 from demflow.sweep.dataset import open as results
 from demflow.sweep.errors import ResultsError
 from tests.sweep import toy_stages, toys
@@ -47,7 +48,7 @@ def maps(monkeypatch):
         seen.append((scene, products))
         return dict(MAPS)
 
-    monkeypatch.setattr(results, "case_maps", case_maps)
+    monkeypatch.setattr(model_maps, "case_maps", case_maps)
     return seen
 
 
