@@ -62,14 +62,25 @@ class History(NamedTuple):
     well_pressure: Array  # (w, t) Pa
     well_rate: Array  # (w, t) m³/s for unit depth, positive for production
     boundary_flow: Array  # (b, t) m³/s for unit depth, positive into the region
+    boundary_pressure: Array  # (b, t) Pa
     probe_pressure: Array  # (p, t) Pa
     change_times: Array  # (c,) s, increasing
     pressure_at_changes: Array  # (w, c) Pa: the wells' just before each of these
     volumes: Volumes
     solved: Solved
     probe_place: Array = np.empty((0, 2))  # (p, 2) m: where those pressures are, if known
-    boundary_pressure: Array | None = None  # (b, t) Pa; None: the sides keep theirs
     limited: Array | None = None  # (w, t) 1 where a limit of pressure acts, 0 where a rate does
+
+
+def kept_pressures(controls: Controls, times: int) -> Array:
+    """Pressures of the sides that keep one, (b, t) Pa.
+
+    Parameters
+    ----------
+    controls : of the case
+    times : how many there are
+    """
+    return np.repeat(np.array(controls.side_pressures, dtype=float)[:, None], times, axis=1)
 
 
 def marched(fractured: Fracturing, controls: Controls) -> History:
@@ -91,6 +102,7 @@ def marched(fractured: Fracturing, controls: Controls) -> History:
         well_pressure=rows["well_pressure"].reshape(t, -1).T,
         well_rate=rows["well_rate"].reshape(t, -1).T,
         boundary_flow=rows["side_flow"].reshape(t, -1)[:, :sides].T,
+        boundary_pressure=kept_pressures(controls, t),
         probe_pressure=rows["probe_pressure"].reshape(t, -1).T,
         change_times=changes,
         pressure_at_changes=before,
@@ -162,7 +174,7 @@ def superposed(responses: Responses, controls: Controls, loads: Loads | None = N
     probes[~responses.probe_reached] = controls.initial
     before = _output(responses, controls, steps, changes) if controls.transient else output[:0]
     drilled = len(controls.drilled)  # behind the wells are the sides with an inflow
-    kept = np.broadcast_to(np.array(controls.side_pressures)[:, None], (sides, len(times)))
+    kept = kept_pressures(controls, len(times))
     return History(
         times=times,
         well_pressure=pressure[:drilled],

@@ -12,6 +12,7 @@ from demflow.model.history import (
     History,
     Solved,
     Volumes,
+    kept_pressures,
     marched,
     superposed,
     superposed_error,
@@ -348,6 +349,7 @@ def _marched(followed: Followed, controls: Controls) -> History:
         well_pressure=followed.well_pressure,
         well_rate=followed.well_rate,
         boundary_flow=followed.boundary_flow,
+        boundary_pressure=kept_pressures(controls, len(controls.times)),
         probe_pressure=followed.probe_pressure,
         change_times=followed.change_times,
         pressure_at_changes=followed.pressure_at_changes,
@@ -420,9 +422,6 @@ def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:
     A steady study has no time dimension.
     """
     found = {name: getattr(history, name) for name in IN_TIME}
-    if history.boundary_pressure is None:
-        kept = np.array(controls.side_pressures)[:, None]
-        found["boundary_pressure"] = np.broadcast_to(kept, history.boundary_flow.shape).copy()
     if not controls.transient:
         found = {name: array[:, 0] for name, array in found.items()}
     if len(history.probe_place):
@@ -449,20 +448,19 @@ def flowed(
     controls : rates and pressures of the case in time
     wanted : names of what is observed
     """
-    found = observe_flow(history, controls) | _lowest(history, controls)
+    found = observe_flow(history, controls) | _lowest(history)
     if traces is not None:
         found["fracture_flow_share"] = _share(traces, found, controls)
     return {k: v for k, v in found.items() if ASKED_FOR_BY.get(k) in (None, *wanted)}
 
 
-def _lowest(history: History, controls: Controls) -> dict[str, np.ndarray]:
+def _lowest(history: History) -> dict[str, np.ndarray]:
     """The lowest pressure that is recorded or held, and whether no liquid bears it.
 
     Extremes lie at sources, by the maximum principle.
     """
-    sides = history.boundary_pressure
-    held = np.array(controls.side_pressures) if sides is None else sides.ravel()
-    every = np.concatenate([history.well_pressure.ravel(), history.probe_pressure.ravel(), held])
+    told = (history.well_pressure, history.probe_pressure, history.boundary_pressure)
+    every = np.concatenate([pressure.ravel() for pressure in told])
     known = every[~np.isnan(every)]  # a probe that nothing reaches has no steady pressure
     if not known.size:
         return {}

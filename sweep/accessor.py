@@ -117,9 +117,7 @@ class Results:
 
         for name in ("pressure_change", "pressure_derivative", "well_rate"):
             self._variable(name)
-        wells = [str(name) for name in self._dataset["well"].values]
-        if well not in wells:
-            raise ResultsError(f"there is no well {well}; there are {', '.join(wells)}")
+        self._check_well(well)
         for unit, like in ((time, "s"), (pressure, "Pa")):
             _check_unit(unit, like)
         chosen = self._dataset
@@ -151,9 +149,7 @@ class Results:
         from demflow.sweep.figures.measured import plot_measured
 
         self._variable("well_pressure")
-        if well not in self._dataset["well"].values:
-            there = ", ".join(map(str, self._dataset["well"].values))
-            raise ResultsError(f"there is no well {well}; there are {there}")
+        self._check_well(well)
         return plot_measured(self._dataset, well, time, pressure, _axes(ax))
 
     def straight_line(
@@ -170,8 +166,9 @@ class Results:
         """Return what a straight line through a well's last flow period says, for each case.
 
         `permeability` with its error, `skin_factor`, `extrapolated` (p* of a well that is shut in),
-        `slope`, and between which times the line lies; NaN of cases that are not done, or show no
-        radial flow. See `sweep.analysis.straight_lines`.
+        `slope`, and between which times the line lies; NaN of cases that are not done, or have no
+        such line: `message` says why. See `sweep.analysis.straight_lines`. The errors are those
+        of the line alone: another packing of the same rock has another permeability.
 
         Parameters
         ----------
@@ -191,9 +188,7 @@ class Results:
         if plot not in PLOTS:
             raise ResultsError(f"there is no plot {plot}, only {', '.join(PLOTS)}")
         pressure, change = (self._variable(n) for n in ("well_pressure", "pressure_change"))
-        if well not in pressure["well"].values:
-            there = ", ".join(map(str, pressure["well"].values))
-            raise ResultsError(f"there is no well {well}; there are {there}")
+        self._check_well(well)
         if rates is None:
             self._check_rates(change.sel(well=[well]), "give its `rates`")
         else:
@@ -201,11 +196,17 @@ class Results:
         times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
         told = StraightLine._fields[1:]
 
-        def of(p: np.ndarray, fall: np.ndarray, rate: np.ndarray, porosity: float) -> np.ndarray:
+        def of(
+            p: np.ndarray, fall: np.ndarray, rate: np.ndarray, porosity: float, done: bool
+        ) -> tuple[np.ndarray, np.ndarray]:
+            none = np.full(len(told), np.nan)
             known = [(0.0, float(rate[-1]))] if rates is None else list(rates)
             before = known[-2][1] if len(known) > 1 else 0.0
             begin, sign = known[-1][0], np.sign(known[-1][1] - before)
             now = (times > begin) & np.isfinite(p) & np.isfinite(fall)
+            if not done or not now.any():
+                why = "no pressure after the last change of the rate" if done else "not done"
+                return none, np.array(why, dtype=object)
             try:
                 first = float((p + sign * fall)[now][0])  # just before the period began
                 found = straight_line(
@@ -216,27 +217,27 @@ class Results:
                     plot=plot,
                     between=between,
                 )
-            except (ValueError, IndexError):
-                return np.full(len(told), np.nan)
-            return np.array([getattr(found, name) for name in told], dtype=float)
+            except ValueError as error:
+                return none, np.array(str(error), dtype=object)
+            numbers = [getattr(found, name) for name in told]
+            return np.array(numbers, dtype=float), np.array("", dtype=object)
 
         done = self._variable("status") == Status.DONE
         along = [["elapsed_time"]] * 3
-        numbers = xr.apply_ufunc(
+        numbers, message = xr.apply_ufunc(
             of,
-            *(one.sel(well=well).where(done) for one in (pressure, change)),
-            self._variable("well_rate").sel(well=well),
+            *(one.sel(well=well) for one in (pressure, change, self._variable("well_rate"))),
             self._variable("porosity"),
-            input_core_dims=[*along, []],
-            output_core_dims=[["told"]],
+            done,
+            input_core_dims=[*along, [], []],
+            output_core_dims=[["told"], []],
             vectorize=True,
         )
-        return xr.Dataset(
-            {
-                name: numbers.isel(told=k).assign_attrs(units=_UNITS.get(name, "Pa"))
-                for k, name in enumerate(told)
-            }
-        )
+        lines = {
+            name: numbers.isel(told=k).assign_attrs(units=_UNITS.get(name, "Pa"))
+            for k, name in enumerate(told)
+        }
+        return xr.Dataset({**lines, "message": message.astype(str)})
 
     def plot_along(self, of: str | xr.DataArray, axis: str, ax: Axes | None = None) -> Axes:
         """Draw a number against an axis of the study; return the axes.
@@ -416,6 +417,12 @@ class Results:
             there = ", ".join(map(str, self._dataset.data_vars))
             raise ResultsError(f"the dataset has no {name}; it has {there}")
         return self._dataset[name]
+
+    def _check_well(self, well: str) -> None:
+        """Raise ResultsError where there is no such well."""
+        there = [str(name) for name in self._dataset["well"].values]
+        if well not in there:
+            raise ResultsError(f"there is no well {well}; there are {', '.join(there)}")
 
     def _cases_along(self, dimension: str) -> dict[str, np.ndarray]:
         """Values of the axes along a dimension on which cases stand one after the other; else {}.

@@ -100,6 +100,7 @@ def history_of(system: System, moments: dict[float, Moment], like: History) -> H
         well_pressure=wells(TIMES),
         well_rate=np.concatenate([-flows[1:], np.array([row.rates for row in rows]).T]),
         boundary_flow=flows[:1],
+        boundary_pressure=like.boundary_pressure,
         probe_pressure=START + np.array([[row.pressure[node] for row in rows]]),
         change_times=CHANGES,
         pressure_at_changes=wells(CHANGES),

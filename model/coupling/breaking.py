@@ -313,7 +313,6 @@ class March:
         grow = GROWTH
         if error > 0.0:
             grow = float(np.clip(0.8 * np.sqrt(self.tolerance / error), 0.2, GROWTH))
-        hold = remembered(s, now.hold, now.found, now.u)
         after = state._replace(
             time=float(state.time + dt),
             dt=dt * grow,
@@ -321,7 +320,7 @@ class March:
             p=now.p,
             mass=mass,
             vapour=now.vapour,
-            hold=hold,
+            hold=remembered(s, now.hold, now.found, now.u),
             rate=(now.p - state.p) / dt,
             ledger=ledger,
         )
@@ -415,13 +414,13 @@ class March:
             work = float(self.case.load @ (after.u - state.u))
             work += float(after.p @ (mass - state.mass))
             free = before + work - self._energy(held, after.found, after.u, after.p, mass)
-            book, kept = state.ledger, remembered(s, after.hold, after.found, after.u)
+            book = state.ledger
             state = state._replace(
                 u=after.u,
                 p=after.p,
                 vapour=after.vapour,
                 mass=mass,
-                hold=kept,
+                hold=remembered(s, after.hold, after.found, after.u),
                 ledger=book._replace(
                     let_in=book.let_in + self._let_in(wells, mass - state.mass),
                     work=book.work + work,

@@ -126,10 +126,10 @@ def fracture(
         march = March(given, before.origin, keepers, tolerance)
         state = before.state._replace(stopped="")
         mass = before.mass
-    recorder = _Recorder(march, wells, leg.rates, wet, mass, before, probes, record_map)
-    if record_permeability:
-        recorder.viscosity = wet.viscosity
-        recorder.at_start = recorder.permeability(state) if before is None else before.permeability
+    recorder = _Recorder(
+        march, wells, leg.rates, wet, mass, before, probes, record_map, record_permeability
+    )
+    at_start = recorder.permeability(state) if before is None else before.permeability
     acts = _wells(given, wells, leg.rates, wet)
     for time in leg.times:
         state = march.to(state, time, acts)
@@ -138,7 +138,7 @@ def fracture(
         recorder.record(state)
     if not state.stopped and state.time < leg.end:
         state = march.to(state, leg.end, acts)
-    return recorder.product(state, leg)
+    return recorder.product(state, leg, at_start)
 
 
 def _wells(
@@ -172,15 +172,15 @@ class _Recorder:
         before: Fracturing | None,
         probes: tuple[Probe, ...],
         record_map: bool,
+        record_permeability: bool,
     ):
         self.march, self.given, self.case = march, march.given, march.case
         self.wells, self.rates, self.wet, self.mass = wells, rates, wet, mass
         self.before, self.record_map = before, record_map
+        self.record_permeability = record_permeability
         net, sides = self.given.network, len(wet.sides)
         self.probes = domains_at(net, np.array([p.at for p in probes]).reshape(-1, 2))
         self.sides = sides
-        self.viscosity: float | None = None  # where a permeability is recorded
-        self.at_start = np.empty((0, 0))
         self.rows: list[tuple[Array, ...]] = []
 
     def record(self, state: State) -> None:
@@ -241,9 +241,9 @@ class _Recorder:
 
     def permeability(self, state: State) -> Array:
         """That of the network as it stands, (2, 2) m²; (0, 0) where it is not asked for."""
-        if self.viscosity is None:
+        if not self.record_permeability:
             return np.empty((0, 0))
-        net, viscosity = self.given.network, self.viscosity
+        net, viscosity = self.given.network, self.wet.viscosity
         apertures = uniform(net, 1.0, viscosity)._replace(
             conductance=pipe_conductance(self._apertures(state), self.given.pipe_length, viscosity)
         )
@@ -259,7 +259,7 @@ class _Recorder:
         aperture[within] = openings(case, state.hold, found)[0].wide
         return aperture
 
-    def product(self, state: State, leg: Leg) -> Fracturing:
+    def product(self, state: State, leg: Leg, at_start: Array) -> Fracturing:
         """All that was recorded, and where the march stands."""
         case, before, given = self.case, self.before, self.given
         if self.rows:
@@ -301,7 +301,7 @@ class _Recorder:
                 [given.network.x[self.probes], given.network.y[self.probes]]
             ),
             highest=highest,
-            permeability=self.at_start,
+            permeability=at_start,
             loose=np.asarray(np.count_nonzero(state.hold.grip[:-2:3] >= FIRM)),
         )
 

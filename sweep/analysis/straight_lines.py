@@ -113,6 +113,7 @@ def straight_line(
             for (time, new), old in zip(known[:-1], [0.0, *(q for _, q in known)], strict=False)
         )
         endless = float(p[earlier[-1]]) - math.copysign(1.0, step) * (slope * far + height)
+    skin = 0.5 * (height / slope - shape)
     return StraightLine(
         plot=plot,
         slope=slope,
@@ -120,8 +121,8 @@ def straight_line(
         height=height,
         permeability=permeability,
         permeability_error=float(permeability * sure * fit.stderr / slope),
-        skin_factor=0.5 * (height / slope - shape),
-        skin_error=float(skin_error),
+        skin_factor=skin,
+        skin_error=float(skin_error) if math.isfinite(skin) else math.nan,
         extrapolated=endless,
         start=float(since[on_it][0]),
         end=float(since[on_it][-1]),

@@ -110,9 +110,7 @@ def write_figures(
     )
 
 
-def write_animations(
-    dataset: xr.Dataset, results_dir: Path, study: Study, form: Form, maps_of: MapsOf | None = None
-) -> Figures:
+def write_animations(dataset: xr.Dataset, results_dir: Path, study: Study, form: Form) -> Figures:
     """Write the pressure maps of a few cases in time into a folder of their own in `figures/`.
 
     Parameters
@@ -121,7 +119,6 @@ def write_animations(
     results_dir : the study's folder, where the maps of its cases are found.
     study : for the scenes of its cases.
     form : its format gif or mp4.
-    maps_of : reads the maps of a case, where others read them too.
 
     Returns
     -------
@@ -136,7 +133,7 @@ def write_animations(
     from demflow.sweep.figures.animation import check_kind, draw_animation, is_moving
 
     check_kind(form.format)
-    read = maps_of or maps_reader(dataset, Path(results_dir))
+    read = maps_reader(dataset, Path(results_dir))
 
     def draw(folder: Path, _messages: list[str]) -> list[Path]:
         drawn: list[Path] = []

@@ -145,6 +145,7 @@ def test_a_dataset_tells_them_for_each_case(rates):
     assert found["permeability"].attrs["units"] == "m2"
     assert float(found["permeability"][0]) == pytest.approx(K, rel=2e-3)
     assert np.isnan(found["permeability"][1])
+    assert found["message"].values.tolist() == ["", "not done"]
     if rates[-1][1] == 0.0:
         assert float(found["extrapolated"][0]) == pytest.approx(START, rel=1e-4)
     else:
@@ -169,10 +170,22 @@ def test_a_dataset_tells_them_for_each_case(rates):
 def test_rates_are_those_that_the_well_has(rates, told):
     dataset = of_a_study(RATES[:1])
     if told is None:
-        assert np.isnan(dataset.demflow.straight_line("p", viscosity=1e-3, rates=rates)["slope"][0])
+        found = dataset.demflow.straight_line("p", viscosity=1e-3, rates=rates)
+        assert np.isnan(found["slope"][0])
+        assert found["message"].values[0] == "no pressure after the last change of the rate"
         return
     with pytest.raises(ResultsError, match=told):
         dataset.demflow.straight_line("p", viscosity=1e-3, rates=rates)
+
+
+def test_without_a_line_it_is_told_why_and_without_a_radius_no_skin_is_said():
+    dataset = of_a_study(RATES[:1])
+    short = dataset.demflow.straight_line("p", viscosity=1e-3, between=(600.0, 601.0))
+    assert "points lie on the line" in short["message"].values[0]
+    found = dataset.demflow.straight_line("p", viscosity=1e-3, between=(600.0, 1e6))
+    assert np.isfinite(found["permeability"][0])
+    assert np.isnan(found["skin_factor"][0])
+    assert np.isnan(found["skin_error"][0])
 
 
 def test_a_rate_that_changes_has_to_be_given():
