@@ -240,11 +240,12 @@ def _breaking_rock(scene: Scene) -> Any:
 
 def _breaking_fluid(scene: Scene) -> Any:
     """Its fluid and the pipes of its matrix."""
-    if scene.fluid is None or scene.pipes is None or scene.coupling is None:
+    fluid = scene.fluid
+    if fluid is None or fluid.modulus is None or scene.pipes is None or scene.coupling is None:
         return None
     return BreakingFluid(
-        scene.fluid.viscosity,
-        scene.fluid.modulus or 1.0,
+        fluid.viscosity,
+        fluid.modulus,
         scene.pipes,
         scene.uniform_pressure or 0.0,
         scene.coupling.least_pressure,

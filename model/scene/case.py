@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from dataclasses import dataclass
 
@@ -180,19 +181,25 @@ class Scene:
         None where the fluid's bulk modulus says it, pore by pore.
         """
         matrix, fluid = self.matrix, self.fluid
-        if matrix is None or matrix.specific_storage is None or fluid is None:
+        if matrix is None or matrix.specific_storage is None:
             return None
-        return matrix.specific_storage / ((fluid.density or 1.0) * STANDARD_GRAVITY)
+        if fluid is None or fluid.density is None:
+            return None
+        return matrix.specific_storage / (fluid.density * STANDARD_GRAVITY)
 
     def stores(self, porosity: float) -> float:
         """Fluid that a unit volume of rock of a porosity gives per pressure fall, 1/Pa.
+
+        NaN without a fluid.
 
         Parameters
         ----------
         porosity : of the region
         """
+        if self.storativity is not None:
+            return self.storativity
         modulus = None if self.fluid is None else self.fluid.modulus
-        return self.storativity or porosity / (modulus or 1.0)
+        return math.nan if modulus is None else porosity / modulus
 
     @property
     def ground(self) -> Ground | None:
