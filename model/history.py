@@ -314,7 +314,9 @@ def _acting(changes: tuple[tuple[float, float], ...], at: Array) -> Array:
     return np.asarray(values[np.maximum(np.count_nonzero(acted, axis=0) - 1, 0)])
 
 
-def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
+def superpose(
+    responses: Array, lag: Array, steps: Steps, at: Array, *, volumes: bool = False
+) -> Array:
     """Sum of shifted and scaled step responses (sources, l, …) at the times `at` (t,).
 
     A step acts after its time, not at it. At infinity (a steady study) every step acts. Steps at
@@ -326,12 +328,13 @@ def superpose(responses: Array, lag: Array, steps: Steps, at: Array) -> Array:
     lag : (l,) s since the step
     steps : sizes and times of the steps of each source
     at : times (t,), s
+    volumes : whether the responses are volumes since the step
     """
     total = np.zeros((len(at), *responses.shape[2:]))
     for source, changes in enumerate(steps):
         found = _kept(lag, changes, at)
         if found is None:
-            weights = interpolating(lag, changes, at)
+            weights = interpolating(lag, changes, at, volumes=volumes)
             total += np.tensordot(weights, responses[source], 1)
             continue
         for size, acts, place in found:
@@ -401,7 +404,7 @@ def _output(responses: Responses, controls: Controls, steps: Steps, at: Array) -
 def _volumes(responses: Responses, controls: Controls, steps: Steps, times: Array) -> Volumes:
     """Volumes at the times of a transient."""
     weights = controls.initial_weights
-    volumes = superpose(responses.cumulative, responses.lag, steps, times)
+    volumes = superpose(responses.cumulative, responses.lag, steps, times, volumes=True)
     volumes += started(responses.initial_cumulative, responses.lag, weights, times)
     let_in, stored = volumes[:, :-1], volumes[:, -1]
     produced = np.zeros(len(times))

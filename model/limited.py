@@ -91,7 +91,9 @@ def settled(responses: Responses, controls: Controls, given: Steps) -> Settled |
     return _Search(responses, controls, given, blocks).run()
 
 
-def interpolating(lag: Array, changes: list[tuple[float, float]], at: Array) -> Array:
+def interpolating(
+    lag: Array, changes: list[tuple[float, float]], at: Array, *, volumes: bool = False
+) -> Array:
     """Weights (t, l) of responses at lags (l,) in the sum of steps at other times.
 
     Parameters
@@ -99,6 +101,8 @@ def interpolating(lag: Array, changes: list[tuple[float, float]], at: Array) -> 
     lag : (l,) s
     changes : times of changes, s
     at : times, (t,) s
+    volumes : whether the responses are volumes: their mean rates since the step are interpolated,
+        so that together they stay what a step moves in the time
     """
     from scipy.interpolate import CubicSpline
 
@@ -111,7 +115,10 @@ def interpolating(lag: Array, changes: list[tuple[float, float]], at: Array) -> 
         acts = since > 0.0
         if acts.any():
             log = np.log(np.maximum(since[acts], lag[later[0]]))
-            weights[k, later] = size[acts] @ spline(log)
+            each = spline(log)
+            if volumes:
+                each = since[acts, None] * each / lag[later]
+            weights[k, later] = size[acts] @ each
     return weights
 
 

@@ -177,6 +177,26 @@ def test_a_group_shares_its_rate_whichever_of_its_wells_is_asked_for_it():
     assert np.abs(crossing["well_rate"][:, -1]).max() > 0.01 * RATE
 
 
+@pytest.mark.parametrize("times", [(1e5,), (40.0, 7e3), tuple(np.geomspace(3.0, 2e5, 9))])
+def test_volumes_balance_where_a_limit_decides_the_rate(times):
+    told = ((0.0, 3.0 * RATE), (137.0, 2.2 * RATE), (911.0, 2.9 * RATE))
+    seen = simulate(
+        Scene(
+            region=Rectangle(20.0, 16.0),
+            grains=Grains(count=300, porosity=0.17),
+            matrix=Matrix(permeability=1e-13),
+            fluid=Fluid(1e-3, 2e9),
+            wells=(producer(schedule=told, least_pressure=9.98e6),),
+            boundaries=(("left", START),),
+            initial_pressure=START,
+            times=times,
+            observe=("well_pressure",),
+        )
+    )
+    assert seen["well_limited"][0, -1] == 1.0
+    assert seen["mass_balance_error"] < 1e-12
+
+
 def test_a_group_has_the_narrowest_limits_of_its_wells():
     wells = (
         producer(rate=RATE, group="g", least_pressure=9e6),
