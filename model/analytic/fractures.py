@@ -128,7 +128,7 @@ def uniform_flux_transform(x_D: float = 0.0) -> Transform:
     return transform
 
 
-def finite_conductivity_transform(F_CD: float) -> Transform:
+def finite_conductivity_transform(F_CD: ArrayLike) -> Transform:
     """p̄_D(s) of a well whose fracture resists the flow along it, s of t_Dxf.
 
     Each wing is parted into pieces with an even inflow each, finer towards the well and the tip,
@@ -140,8 +140,9 @@ def finite_conductivity_transform(F_CD: float) -> Transform:
 
     Parameters
     ----------
-    F_CD : above zero.
+    F_CD : above zero; of several, p̄_D has their shape before that of s.
     """
+    resistance = math.pi / np.asarray(F_CD, dtype=float)
     wing = np.geomspace(_WELL_SIDE, 0.5, _PIECES[0])
     tip = 1.0 - np.geomspace(0.5, _TIP_SIDE, _PIECES[1])[1:]
     edge = np.concatenate([[0.0], wing, tip, [1.0]])
@@ -159,13 +160,15 @@ def finite_conductivity_transform(F_CD: float) -> Transform:
         arm = np.sign(reach) * integral_of_K0(np.abs(reach) * root)
         far = integral_of_K0((middle[:, None] + edge) * root)
         rock = 0.5 * (arm[..., :-1] - arm[..., 1:] + far[..., 1:] - far[..., :-1]) / root
-        matrix = np.zeros((*s.shape, n + 1, n + 1), dtype=complex)
-        matrix[..., :n, :n] = math.pi / F_CD * twice - rock
+        each = resistance.reshape(resistance.shape + (1,) * s.ndim)
+        shape = (*resistance.shape, *s.shape)
+        matrix = np.zeros((*shape, n + 1, n + 1), dtype=complex)
+        matrix[..., :n, :n] = each[..., None, None] * twice - rock
         matrix[..., :n, n] = 1.0
         matrix[..., n, :n] = length
-        right = np.concatenate([math.pi / F_CD * middle, [1.0]])
-        solved = np.linalg.solve(matrix, np.broadcast_to(right, (*s.shape, n + 1))[..., None])
-        found: np.ndarray = solved[..., n, 0] / s
+        right = np.ones((*shape, n + 1, 1))
+        right[..., :n, 0] = each[..., None] * middle
+        found: np.ndarray = np.linalg.solve(matrix, right)[..., n, 0] / s
         return found
 
     return transform

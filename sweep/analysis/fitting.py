@@ -26,6 +26,7 @@ NEARLY_LINEAR = 0.02  # half width on the scale 0 to 1 up to which the Jacobian 
 CORRELATED = 0.95  # from which on a pair of parameters is told
 SCANNED, STARTS, KEPT = 128, 6, 2  # points tried, of them started from, of them followed to the end
 BRIEF = 12  # steps of a start before it is judged
+ROUGH = 1e-3  # share of the sum of squares to which a place is known that is only compared
 ELSEWHERE = (0.08, 0.29, 0.5, 0.71, 0.92)  # places of each parameter from which others are sought
 APART = 0.02  # on the scale 0 to 1: minima that lie nearer are one
 _STEP = 1e-6  # of the scale 0 to 1, for the Jacobian
@@ -140,9 +141,16 @@ class _Problem:
         return np.where(np.isfinite(off), off, _FAILED * self.spread)
 
     def solve(
-        self, start: np.ndarray, held: int | None = None, evaluations: int = 60
+        self,
+        start: np.ndarray,
+        held: int | None = None,
+        evaluations: int = 60,
+        gain: float = 0.0,
     ) -> tuple[np.ndarray, float]:
-        """Best u and sum of squares from a start, one of the parameters held if asked."""
+        """Best u and sum of squares from a start, one of the parameters held if asked.
+
+        It ends where a step gains less than the share `gain` of the sum.
+        """
         loose = np.ones(len(self.free), dtype=bool)
         if held is not None:
             loose[held] = False
@@ -161,7 +169,7 @@ class _Problem:
             bounds=(0.0, 1.0),
             diff_step=self.step,
             x_scale="jac",
-            ftol=max(1e-10, 0.1 * self.step**2),  # what the step cannot see is not sought
+            ftol=max(gain, 1e-10, 0.1 * self.step**2),  # what the step cannot see is not sought
             xtol=max(1e-9, 0.05 * self.step),
             gtol=1e-12,
             max_nfev=evaluations,
@@ -256,7 +264,7 @@ def _minima(problem: _Problem, found: list[_Minimum]) -> list[_Minimum]:
             for place in ELSEWHERE:
                 at = best.copy()
                 at[k] = place
-                held.append(problem.solve(at, held=k, evaluations=BRIEF))
+                held.append(problem.solve(at, held=k, evaluations=BRIEF, gain=ROUGH))
             sums = [math.inf, *(found for _, found in held), math.inf]
             for number, (at, size) in enumerate(held):
                 if size < sums[number] and size < sums[number + 2]:
@@ -356,8 +364,10 @@ def _told(problem: _Problem, minima: list[_Minimum], profile: bool | None) -> Fi
         low, high = u[k] - half[k], u[k] + half[k]
         by_profile = profile if profile is not None else not half[k] <= NEARLY_LINEAR
         if by_profile:
-            low = _end(problem, u, k, -1.0, squares, allowed, half[k])
-            high = _end(problem, u, k, +1.0, squares, allowed, half[k])
+            with np.errstate(invalid="ignore", divide="ignore"):
+                along = np.nan_to_num(correlation[:, k] * half / half[k], posinf=0.0, neginf=0.0)
+            low = _end(problem, u, k, -1.0, squares, allowed, half[k], along=along)
+            high = _end(problem, u, k, +1.0, squares, allowed, half[k], along=along)
         away = [at for at, _ in as_good if not low <= at[k] <= high]
         for at, size in as_good:  # an interval holds all that fits
             reach = 0.5 * NEARLY_LINEAR
@@ -417,21 +427,27 @@ def _end(
     allowed: float,
     half: float,
     here: float | None = None,
+    along: np.ndarray | float = 0.0,
 ) -> float:
     """Where the profile likelihood of a parameter leaves the interval; a bound or beyond if never.
 
     The others are fitted anew at each place; a place is sought by halving between one inside and
-    one outside, from the linear guess. `here` is the sum of squares at u, where it is not the best.
+    one outside, from the linear guess. `here` is the sum of squares at u, where it is not the best;
+    `along` (p,) is how all change with this one while the model is linear.
     """
     bound = 1.0 if way > 0 else 0.0
     room = abs(bound - u[k])
     if room < 1e-9:
         return bound
 
-    def excess(reach: float, start: np.ndarray) -> tuple[float, np.ndarray]:
-        at = start.copy()
+    gain = min(ROUGH, 0.01 * allowed / max(squares, 1e-300))
+
+    def excess(reach: float) -> tuple[float, np.ndarray]:
+        # on the line through the two last places of the profile
+        slope = (at_inside - u) / inside if inside > 0.0 else way * along
+        at = np.clip(at_inside + (reach - inside) * slope, 0.0, 1.0)
         at[k] = u[k] + way * reach
-        best, found = problem.solve(at, held=k, evaluations=25)
+        best, found = problem.solve(at, held=k, evaluations=25, gain=gain)
         if found < squares - 0.1 * allowed:
             raise _Better(best)
         return (found - squares) / allowed - 1.0, best
@@ -442,7 +458,7 @@ def _end(
     outside, e_outside = None, 0.0
     reach = min(guess, room)
     for _ in range(12):
-        e, best = excess(reach, at_inside)
+        e, best = excess(reach)
         if e < 0.0:
             inside, at_inside, e_inside = reach, best, e
             if reach >= room:
@@ -460,7 +476,7 @@ def _end(
         reach = inside + min(max(share, 0.1), 0.9) * (outside - inside)
         if outside - inside < 0.02 * outside:
             break
-        e, best = excess(reach, at_inside)
+        e, best = excess(reach)
         if abs(e) < 0.02:
             result: float = u[k] + way * reach
             return result

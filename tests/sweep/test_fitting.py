@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from demflow.model.analytic.fractures import finite_conductivity_transform
+from demflow.model.analytic.laplace import invert
 from demflow.model.analytic.radial import line_source
 from demflow.sweep.analysis.fitting import Free, choice, fit, told_pairs
 from demflow.sweep.analysis.reservoirs import MODELS, Superposed, unit_response
@@ -298,3 +300,16 @@ def test_the_shipped_record_gives_back_what_it_was_made_of(tmp_path):
         assert best[name].determined
         assert best[name].low <= made <= best[name].high
     assert fitted.figure is not None
+
+
+@pytest.mark.parametrize("F_CD", [3e-3, 0.7, 41.0, 6e5])
+def test_a_tabled_fracture_responds_as_its_solution(F_CD):
+    k, x_f = VALUES["permeability"], VALUES["half_length"]
+    told = {"fracture_conductivity": F_CD * k * x_f, "wellbore_storage": 0.0, "skin_factor": 0.0}
+    t_Dxf = np.geomspace(3e-7, 2e4, 9)
+    times = t_Dxf * x_f**2 * ROCK.porosity * ROCK.viscosity * ROCK.compressibility / k
+    model = MODELS["finite_conductivity_fracture"]
+    found = unit_response(model, ROCK, {**VALUES, **told}, times)
+    p_D = found * 2.0 * math.pi * k * ROCK.thickness / ROCK.viscosity
+    exact = invert(finite_conductivity_transform(F_CD), t_Dxf, 12)
+    np.testing.assert_allclose(p_D, exact, rtol=3e-5)
