@@ -159,7 +159,7 @@ def _moved(joined: _Joined, held: np.ndarray) -> np.ndarray:
 def _core(network: Network, apertures: Apertures) -> tuple[Network, Apertures]:
     """A network between walls, whose own rim lets nothing through, cut some pores inside of it."""
     corners = network.grain_radius == 0.0
-    if len(network.cut) or not corners.any():
+    if not corners.any():
         return network, apertures
     size = np.array([np.ptp(network.grain_x), np.ptp(network.grain_y)])
     off = np.minimum(OFF_WALLS * 2.0 * network.grain_radius[~corners].mean(), 0.25 * size)
@@ -167,9 +167,11 @@ def _core(network: Network, apertures: Apertures) -> tuple[Network, Apertures]:
     middle_y = network.grain_y.min() + 0.5 * size[1]
     core = Rectangle(*(size - 2.0 * off).tolist())
     x, y = network.x - middle_x, network.y - middle_y
-    inside = contains(core, np.column_stack([x, y]))
+    inside = contains(core, np.column_stack([x, y])) & network.inside
     cut, inner, outer = cut_pipes(inside, network.pipe_from, network.pipe_to)
     side, fraction = cut_places(core, x, y, inner, outer)
+    at_hole = np.isin(cut, network.cut)
+    fraction[at_hole] = network.cut_fraction[0] if at_hole.any() else 1.0
     cored = network._replace(
         inside=inside, cut=cut, cut_inside=inner, cut_outside=outer, cut_side=side,
         cut_fraction=fraction,

@@ -504,7 +504,7 @@ STAGES: tuple[Stage, ...] = (
         version=4,
         parents=("pack", "network", "open"),
         reads={
-            "region": lambda s: s.region,
+            "region": lambda s: s.rock,
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
             "stiffness_ratio": lambda s: s.grains.stiffness_ratio,
             "friction": lambda s: s.grains.friction,
@@ -533,7 +533,7 @@ STAGES: tuple[Stage, ...] = (
         version=4,
         parents=("pack", "network", "walk", "stress", "calibrate"),
         reads={
-            "region": lambda s: s.region,
+            "region": lambda s: s.rock,
             "matrix": lambda s: s.pipes,
             "fractures": lambda s: s.fractures,
             "viscosity": _viscosity,

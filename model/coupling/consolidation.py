@@ -18,9 +18,11 @@ from demflow.model.flow.equation.probes import Probes, between_pores
 from demflow.model.flow.equation.sites import WellSite, change_times, time_since
 from demflow.model.flow.equation.system import System, assemble
 from demflow.model.flow.solvers.initial import with_linear_fields
+from demflow.model.mechanics.loading.ground import dug_out
+from demflow.model.network.domains import faces_of_holes
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Array, Network, Packing, Responses
-from demflow.model.region import Rectangle, Region, bounding_box
+from demflow.model.region import Pierced, Rectangle, Region, bounding_box
 from demflow.model.scene import Bonds, Probe
 from demflow.model.threads import one_blas_thread
 
@@ -90,11 +92,11 @@ def consolidate(
     Raises `ModelError` where the rock is loose, or the solver cannot answer.
     """
     check_walls(packing, region)
-    box = packing.box
-    region = Rectangle(float(box[1] - box[0]), float(box[3] - box[2]))
+    region, walls = between_walls(packing, region)
     frame = frame_of(
-        packing, stiffness_ratio=stiffness_ratio, friction=friction, bonds=bonds, held=held
-    )
+        packing, stiffness_ratio=stiffness_ratio, friction=friction, bonds=bonds, held=held,
+        gone=taken(packing, region),
+    )  # fmt: skip
     system = assemble(
         network,
         apertures,
@@ -102,7 +104,7 @@ def consolidate(
         bulk_modulus=bulk_modulus,
         wells=wells,
         sides=sides,
-        at_side=held_pores(packing, network, sides),
+        at_side=held_pores(packing, network, region, sides),
     )
     if initial == "gradient":
         system = with_linear_fields(system, network, apertures, wells)
@@ -115,7 +117,7 @@ def consolidate(
     if name not in SOLVERS:
         raise ModelError(f"there is no coupled solver {name}, only {', '.join(SOLVERS)}")
     factors = Factors(rock)
-    lengths = (region.height, region.width)
+    lengths = (walls.height, walls.width)
     flows = system.fixed_count + len(system.rate_wells)
     acts = np.asarray(active, dtype=bool)
     fields = len(system.initial)
@@ -155,6 +157,32 @@ def check_walls(packing: Packing, region: Region) -> None:
         )
 
 
+def between_walls(packing: Packing, region: Region) -> tuple[Region, Rectangle]:
+    """A region, filled to the walls of the packing; its holes stay. And it without them.
+
+    Parameters
+    ----------
+    packing : grains between walls
+    region : what they should fill
+    """
+    left, right, bottom, top = packing.box.tolist()
+    walls = Rectangle(right - left, top - bottom)
+    return Pierced(walls, region.holes) if isinstance(region, Pierced) else walls, walls
+
+
+def taken(packing: Packing, region: Region) -> Array | None:
+    """The grains that its holes take, (n,) bool; None where there are none.
+
+    Parameters
+    ----------
+    packing : grains between walls
+    region : where the case lies, m
+    """
+    if not isinstance(region, Pierced):
+        return None
+    return np.any(dug_out(packing, region.holes), axis=0)
+
+
 def lags(
     times: tuple[float, ...],
     wells: tuple[WellSite, ...],
@@ -175,20 +203,33 @@ def lags(
     return np.unique(lag[lag >= 0.0])
 
 
-def held_pores(packing: Packing, network: Network, sides: tuple[str, ...]) -> Array:
+def held_pores(packing: Packing, network: Network, region: Region, sides: tuple[str, ...]) -> Array:
     """The side that holds the pressure of each pore, (d,), −1 none: those that reach its wall.
+
+    A hole is a pore by itself, which pushes on the rock around it.
 
     Parameters
     ----------
     packing : grains at rest under the packing pressure
     network : pores and pipes of the matrix
+    region : where the case lies, m
     sides : sides at a fixed pressure
     """
     at_side = np.full(len(network.x), -1)
     walls = pores_of(packing, network).walls
+    holes = region.holes if isinstance(region, Pierced) else ()
     for order, name in enumerate(sides):
-        reach = walls.any(axis=1) if name == "outer" else walls[:, WALLS.index(name)]
-        at_side[reach & (at_side < 0)] = order
+        if name in WALLS or name == "outer":
+            reach = walls.any(axis=1) if name == "outer" else walls[:, WALLS.index(name)]
+            at_side[reach & (at_side < 0)] = order
+        else:
+            gone = dug_out(packing, tuple(hole for hole in holes if hole.name == name))
+            at_side[
+                faces_of_holes(
+                    gone, network.corner_start, network.corner_grain, network.grain_x,
+                    network.grain_y,
+                )
+            ] = order  # fmt: skip
     return at_side
 
 

@@ -74,7 +74,7 @@ def pores_of(packing: Packing, network: Network) -> Pores:
     lies = host >= 0
     floating = np.bincount(
         host[lies],
-        weights=np.pi * packing.radius[floats[lies]] ** 2,
+        weights=np.pi * network.grain_radius[floats[lies]] ** 2,
         minlength=len(network.x),
     )
     on_wall = np.zeros((len(carried), 4), dtype=bool)
@@ -119,7 +119,10 @@ def place_of(x: Array, y: Array, box: Array) -> Array:
 def pore_volumes(pores: Pores, place: Array) -> Array:
     """Volumes (d,) of the pores, m³ per metre of depth, with grains and walls at a place."""
     x, y = place[pores.row_x], place[pores.row_y]
-    void: Array = measure_faces(pores.start, pores.corner, x, y, pores.radius)[3]
+    ring = np.flatnonzero(np.diff(pores.start))  # where a pipe ends on a rim there is no pore
+    void = np.zeros(len(pores.floating))
+    first = np.append(pores.start[ring], pores.start[-1])
+    void[ring] = measure_faces(first, pores.corner, x, y, pores.radius)[3]
     found: Array = void - pores.floating
     return found
 

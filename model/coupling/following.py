@@ -15,7 +15,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.coupling.consolidation import check_walls, held_pores
+from demflow.model.coupling.consolidation import (
+    between_walls,
+    check_walls,
+    held_pores,
+    taken,
+)
 from demflow.model.coupling.frame import frame_of
 from demflow.model.coupling.march import ERROR, GAMMA, LADDER, SAFETY, Stepper, between
 from demflow.model.coupling.record import Record, record_of
@@ -35,7 +40,7 @@ from demflow.model.products import (
     StressState,
     Walk,
 )
-from demflow.model.region import Rectangle, Region
+from demflow.model.region import Region
 from demflow.model.scene import Bonds, Fracture, Matrix, Probe
 from demflow.model.threads import one_blas_thread
 
@@ -195,12 +200,12 @@ def follow(
     Raises `ModelError` where the rock is loose, or a step cannot be found.
     """
     check_walls(packing, region)
-    box = packing.box
-    walls = Rectangle(float(box[1] - box[0]), float(box[3] - box[2]))
+    filled, walls = between_walls(packing, region)
     frame = frame_of(
-        packing, stiffness_ratio=stiffness_ratio, friction=friction, bonds=bonds, held=held
-    )
-    at_side = held_pores(packing, network, sides)
+        packing, stiffness_ratio=stiffness_ratio, friction=friction, bonds=bonds, held=held,
+        gone=taken(packing, region),
+    )  # fmt: skip
+    at_side = held_pores(packing, network, filled, sides)
 
     def opened(state: StressState) -> Apertures:
         return open_pipes(
@@ -210,14 +215,14 @@ def follow(
 
     def assembled(apertures: Apertures) -> System:
         return assemble(
-            network, apertures, region=walls, bulk_modulus=bulk_modulus, wells=wells, sides=sides,
+            network, apertures, region=filled, bulk_modulus=bulk_modulus, wells=wells, sides=sides,
             at_side=at_side,
         )  # fmt: skip
 
     start = opened(stress)
     system = assembled(start)
     points = np.array([p.at for p in probes]).reshape(-1, 2)
-    probed = between_pores(network, start, walls, system, points)
+    probed = between_pores(network, start, filled, system, points)
     rock = rock_of(packing, network, frame, system, normal_stiffness)
     record = record_of(rock, packing, outputs(system, probed))
     forcing = Forcing(np.array(kept, dtype=float) - initial, rates, loads)

@@ -68,6 +68,7 @@ def frame_of(
     friction: float,
     bonds: Bonds | None,
     held: tuple[str, ...] = (),
+    gone: Array | None = None,
 ) -> Frame:
     """The frame of a packing.
 
@@ -77,6 +78,7 @@ def frame_of(
     stiffness_ratio, friction : of contacts, as `mechanics.specimen.rock.build_specimen` has them.
     bonds : cement, its modulus over k_n; None for grains that stick by friction alone.
     held : names of the walls that stand besides the left and the bottom one.
+    gone : grains that holes took, (n,) bool, or None.
 
     Raises `ModelError` where nothing bears load, or parts of it are loose.
     """
@@ -85,6 +87,9 @@ def frame_of(
     stands = feet(packing)
     walls = tuple(stands.grain[stands.wall == wall] for wall in range(4))
     contacts = contacts_of(specimen)._replace(walls=walls)
+    if gone is not None:
+        stays = ~(gone[contacts.a] | gone[contacts.b])
+        contacts = Contacts(contacts.a[stays], contacts.b[stays], contacts.bond[stays], walls)
     carries = _joined(n, contacts, carrying(n, contacts))
     if not carries.any():
         raise ModelError(

@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import cKDTree
 
+from demflow.model.mechanics.loading.ground import dug_out
 from demflow.model.network.connectivity import component_labels
-from demflow.model.network.enclosure import enclosed
+from demflow.model.network.enclosure import enclosed, hollowed
 from demflow.model.network.faces import (
     crossing_pairs,
     locate,
@@ -56,7 +57,9 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
 
     A `walled` network is that of all pores between the walls of the packing, those at the walls
     too (`enclosure`); no rim cuts it. A pipe at a wall is half of one between a grain and its
-    mirror image.
+    mirror image. Without the grains that a hole of the region takes, the hole is one large domain
+    outside, to which no pipe leads: those that would are cut in their middle, as in rock that goes
+    on, and so end on the rim.
 
     Raises `ModelError` where no domain lies inside the region.
 
@@ -66,8 +69,13 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
     region : where the case lies, m
     walled : whether pores at the walls of the packing count, and no rim cuts
     """
+    gone: list[np.ndarray] = []
+    of_hole: list[int] = []
     if walled:
         packing = enclosed(packing)
+        if isinstance(region, Pierced):
+            gone = dug_out(packing, region.holes)
+            packing = hollowed(packing, np.any(gone, axis=0))
     x, y, radius = packing.x, packing.y, packing.radius
     a, b, dropped = _without_crossings(packing.contact_a, packing.contact_b, x, y, radius)
     a, b = _load_bearing(len(x), a, b)
@@ -103,6 +111,8 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
     inside = contains(region, np.column_stack([cx, cy]))
     if walled:
         inside[:] = True
+        of_hole = faces_of_holes(gone, corner_start, corner_grain, x, y)
+        inside[of_hole] = False
     if not inside.any():
         raise ModelError(
             "no pore lies inside the region: the grains are larger than it; raise grains.count"
@@ -120,7 +130,7 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
         # pipes among finer grains conduct as coarse ones do: one aperture is one permeability
         length /= 0.5 * (packing.scale[a] + packing.scale[b])
     _check_width(region, float(np.sqrt(area[inside].mean())))
-    parted = _over_slots(region, cx, cy, inside, left, right)
+    parted = _over_slots(region, cx, cy, inside & (not walled), left, right)
     if len(parted.pipe):
         # either end of such a pipe leads to a domain of its own outside, and to nothing else
         pipe, count = parted.pipe, len(parted.pipe)
@@ -142,8 +152,25 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
         )
         inside = np.append(inside, np.zeros(2 * count, dtype=bool))
         corner_start = np.append(corner_start, np.full(2 * count, corner_start[-1]))
+    at_hole = np.full(len(cx), -1)
+    at_hole[of_hole] = np.arange(len(of_hole))
     cut, cut_inside, cut_outside = cut_pipes(inside, left, right)
-    side, fraction = cut_places(region, cx, cy, cut_inside, cut_outside)
+    if of_hole:
+        # each ends in a domain of its own, which lies where the rock's would, were there no hole
+        nth = len(region.sides) - len(of_hole)
+        side, fraction = nth + at_hole[cut_outside], np.full(len(cut), 0.5)
+        beyond = len(cx) + np.arange(len(cut))
+        left[cut] = np.where(left[cut] == cut_outside, beyond, left[cut])
+        right[cut] = np.where(right[cut] == cut_outside, beyond, right[cut])
+        cut_outside = beyond
+        one, other, inner = a[cut], b[cut], cut_inside
+        cx = np.append(cx, x[one] + x[other] - cx[inner])
+        cy = np.append(cy, y[one] + y[other] - cy[inner])
+        volume = np.append(volume, np.full(len(cut), floor))
+        area, inside = np.append(area, np.zeros(len(cut))), np.append(inside, [False] * len(cut))
+        corner_start = np.append(corner_start, np.full(len(cut), corner_start[-1]))
+    else:
+        side, fraction = cut_places(region, cx, cy, cut_inside, cut_outside)
     return Network(
         x=cx,
         y=cy,
@@ -171,6 +198,32 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
         slivers=np.asarray(sliver_count),
         crossing_edges=np.asarray(dropped),
     )
+
+
+def faces_of_holes(
+    gone: list[np.ndarray], start: np.ndarray, corner: np.ndarray, x: np.ndarray, y: np.ndarray
+) -> list[int]:
+    """The domain that each hole is of a network without the grains that it took.
+
+    Raises `ModelError` where the rock around leaves it in parts, or two are one.
+
+    Parameters
+    ----------
+    gone : grains that each hole took, (n,) bool
+    start, corner : corners of the domains, as in `Network`
+    x, y : centres of the grains, m
+    """
+    found: list[int] = []
+    for taken in gone:
+        (those,) = np.nonzero(taken)
+        faces = np.unique(locate(x[those], y[those], start, corner, x, y))
+        if len(faces) != 1 or faces[0] < 0 or int(faces[0]) in found:
+            raise ModelError(
+                "grains around a hole do not close its rim; raise grains.count, move it away from "
+                "the walls, or add bonds with an installation_gap"
+            )
+        found.append(int(faces[0]))
+    return found
 
 
 class Parted(NamedTuple):

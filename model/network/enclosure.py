@@ -75,3 +75,21 @@ def enclosed(packing: Packing) -> Packing:
         shear_force=np.append(packing.shear_force, none)[order],
         scale=scale,
     )
+
+
+def hollowed(packing: Packing, gone: np.ndarray) -> Packing:
+    """The packing without some of its grains: they keep their numbers, but no size and no contact.
+
+    Parameters
+    ----------
+    packing : grains, feet and corners
+    gone : (n,) bool
+    """
+    stays = ~(gone[packing.contact_a] | gone[packing.contact_b])
+    return packing._replace(
+        radius=np.where(gone, 0.0, packing.radius),
+        contact_a=packing.contact_a[stays],
+        contact_b=packing.contact_b[stays],
+        normal_force=packing.normal_force[stays],
+        shear_force=packing.shear_force[stays],
+    )

@@ -206,7 +206,10 @@ class Scene:
         """Weight and holes; None where the scene has neither."""
         if self.gravity is None and not self.excavate:
             return None
-        weight = self.grains.density * (self.gravity or 0.0)
+        density = self.grains.density
+        if self.coupled and self.fluid is not None:  # pressures are those beyond the hydrostatic
+            density -= self.fluid.density or 0.0
+        weight = density * (self.gravity or 0.0)
         pressures = tuple(one.pressure for one in self.excavate)
         return Ground(weight, holes_of(self.excavate), pressures)
 
@@ -390,8 +393,8 @@ class Scene:
         """What does not go with coupling."""
         if not self.coupled:
             return
-        if self.gravity is not None:
-            yield "gravity", "a coupled specimen has no weight; leave gravity or coupling out"
+        if self.gravity is not None and not self.breaks:
+            yield from self._weight_problems()
         for side in self.inflow_sides:
             what = "a side with an inflow is for rock without coupling; give it a pressure"
             yield f"boundaries.{side.name}", what
@@ -417,6 +420,16 @@ class Scene:
             yield "observe", what
         if "permeability" in self.observe and self.fractures:
             yield "observe", "permeability of a coupled specimen is measured without fractures"
+
+    def _weight_problems(self) -> Problems:
+        """What the weight of grains in a fluid needs."""
+        lies_in = None if self.fluid is None else self.fluid.density
+        if lies_in is None:
+            what = "grains weigh less by the fluid that they displace; give its density"
+            yield "fluid.density", what
+        elif lies_in >= self.grains.density:
+            what = f"grains of {self.grains.density:g} kg/m3 would float; give that of the fluid"
+            yield "fluid.density", what
 
     def _coupled_time_problems(self) -> Problems:
         """What does not go with coupling, of how it goes on in time."""

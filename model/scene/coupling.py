@@ -223,8 +223,9 @@ def coupling_problems(
             "coupling",
             "a coupled specimen stands between four walls; take region.shape rectangle",
         )
-    if holed:
-        yield "excavate", "a coupled specimen has no holes; leave excavate or coupling out"
+    if holed and breaks:
+        what = "where bonds break a hole is a well of its radius; give one, and leave excavate out"
+        yield "excavate", what
     if grains.packing == "periodic":
         what = "a periodic packing has no walls; a coupled specimen needs them, as packing: random"
         yield "grains.packing", what

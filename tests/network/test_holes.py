@@ -173,7 +173,7 @@ def test_holes_that_cannot_be_are_refused_with_the_key_to_blame():
     coupled = refused(
         grains=rock, stress=Stress(xx=1e7, yy=1e7), gravity=9.81, coupling=Coupling(method="linear")
     )
-    assert "gravity: a coupled specimen has no weight" in coupled
+    assert "fluid.density: grains weigh less by the fluid that they displace" in coupled
     well = Well(name="w", at=(0.5, 0.0), radius=0.1, rate=0.0)
     assert "wells.w.at: the well lies outside" in refused(excavate=(hole(0.0),), wells=(well,))
 

@@ -18,18 +18,23 @@ from demflow.model.mechanics.specimen.cut import press_on, without
 from demflow.model.mechanics.static.load_carrying import carrying, contacts_of
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing, StressState
-from demflow.model.region import contains, distance_to_rim
+from demflow.model.region import Hole, contains, distance_to_rim
 from demflow.model.scene import Ground
 
 
-def dug_out(packing: Packing, ground: Ground) -> list[Array]:
+def dug_out(packing: Packing, holes: tuple[Hole, ...]) -> list[Array]:
     """The grains that each hole takes, (n,) bool each.
 
     Raises ModelError for a hole that takes none.
+
+    Parameters
+    ----------
+    packing : the packed grains as they came
+    holes : dug between them
     """
     points = np.column_stack([packing.x, packing.y])
     found = []
-    for hole in ground.holes:
+    for hole in holes:
         own = points - np.array(hole.at)
         wholly = distance_to_rim(hole.shape, own) >= packing.radius
         found.append(contains(hole.shape, own) & wholly)
@@ -71,7 +76,7 @@ def dig(specimen: Specimen, packing: Packing, ground: Ground) -> tuple[Specimen,
     specimen : of all grains of the packing, in the units of `rock.build_specimen`; it is spoilt.
     ground : over k_n.
     """
-    holes = dug_out(packing, ground)
+    holes = dug_out(packing, ground.holes)
     gone = np.any(holes, axis=0) if holes else np.zeros(len(packing.x), bool)
     if gone.all():
         raise ModelError("the holes leave no grain")
