@@ -9,26 +9,28 @@ import numpy as np
 
 from demflow.model.controls import controls_of
 from demflow.model.history import superposed_map, until
-from demflow.model.network.apertures import pipe_conductance, uniform
-from demflow.model.network.domains import domains_at
 from demflow.model.products import Apertures, Network, Packing, StressState
 from demflow.model.quantities import MAPS, TESTS
 from demflow.model.scene import Scene
 
 
-def case_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def case_maps(
+    scene: Scene, products: Mapping[str, Any], *, ends: bool = True
+) -> dict[str, np.ndarray]:
     """Fields of one case under their names in `model.quantities.MAPS`, with its polygons.
 
     `products` are those of `run_stages`. Domains are those inside the region, pipes those
     with an end among them. `mesh_node_x`, `mesh_node_y` are the corners of the domains'
     polygons and `mesh_face_nodes` (domain, most corners) their indices, −1 where a domain
-    has fewer. A test to failure adds its curves and cracks, `model.quantities.TESTS`.
+    has fewer. A test to failure adds its curves and cracks, `model.quantities.TESTS`. Without
+    `ends` the domains that pipes join are left out: pictures need none, and to find those of
+    traces takes kernels, which take longer to load than a picture to draw.
     """
     tested = {name: getattr(products["strength"], name) for name in TESTS} if scene.tests else {}
-    return tested | _pore_maps(scene, products) if scene.porous else tested
+    return tested | _pore_maps(scene, products, ends) if scene.porous else tested
 
 
-def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarray]:
+def _pore_maps(scene: Scene, products: Mapping[str, Any], with_ends: bool) -> dict[str, np.ndarray]:
     """Pores, pipes and grains of a case."""
     fractured = products.get("fracture")
     net: Network = products["network"] if fractured is None else fractured.network
@@ -39,14 +41,10 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
     number = np.full(len(net.x), -1)
     number[domain] = np.arange(len(domain))
     pipe = np.flatnonzero(net.inside[net.pipe_from] | net.inside[net.pipe_to])
-    swap = ~net.inside[net.pipe_from[pipe]]
-    start = np.where(swap, net.pipe_to[pipe], net.pipe_from[pipe])
-    end = np.where(swap, net.pipe_from[pipe], net.pipe_to[pipe])
     trace = opened.on_fracture[pipe]
     fracture = np.full(len(pipe), -1)
     fracture[trace >= 0] = opened.trace_fracture[trace[trace >= 0]]
     at = np.column_stack([opened.node_x, opened.node_y])
-    pore = number[domains_at(net, at)] if len(at) else np.empty(0, dtype=np.int64)
     maps = {
         "x": net.x[domain],
         "y": net.y[domain],
@@ -54,14 +52,14 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any]) -> dict[str, np.ndarra
         # a branch of a trace is a pipe between the pores in which its ends lie
         "aperture": np.append(opened.aperture[pipe], opened.branch_aperture),
         "conductance": np.append(opened.conductance[pipe], opened.branch_conductance),
-        "from_domain": np.append(number[start], pore[opened.branch_a]),
-        "to_domain": np.append(number[end], pore[opened.branch_b]),
         "on_fracture": np.append(fracture, opened.trace_fracture[opened.branch_line]),
         **_throats(net, opened, pipe),
         **_mesh(net, domain),
         **_sources(scene),
         **_traces(scene, opened),
     }
+    if with_ends:
+        maps |= _ends(net, opened, pipe, number)
     if len(at):
         maps |= {
             "fracture_node_x": opened.node_x,
@@ -114,10 +112,29 @@ def opened_at_end(net: Network, aperture: np.ndarray, scene: Scene) -> Apertures
     aperture : of the pipes, m
     scene : the case
     """
+    from demflow.model.network.apertures import pipe_conductance, uniform  # with SciPy's trees
+
     viscosity = scene.fluid.viscosity if scene.fluid is not None else 1.0
     plain = uniform(net, float(aperture.min(initial=np.inf)), viscosity)
     conductance = pipe_conductance(aperture, net.pipe_length, viscosity)
     return plain._replace(aperture=aperture, conductance=conductance)
+
+
+def _ends(
+    net: Network, opened: Apertures, pipe: np.ndarray, number: np.ndarray
+) -> dict[str, np.ndarray]:
+    """The domains that some pipes and the branches of traces join, as `number` counts them."""
+    from demflow.model.network.domains import domains_at  # with kernels
+
+    swap = ~net.inside[net.pipe_from[pipe]]
+    start = np.where(swap, net.pipe_to[pipe], net.pipe_from[pipe])
+    end = np.where(swap, net.pipe_from[pipe], net.pipe_to[pipe])
+    at = np.column_stack([opened.node_x, opened.node_y])
+    pore = number[domains_at(net, at)] if len(at) else np.empty(0, dtype=np.int64)
+    return {
+        "from_domain": np.append(number[start], pore[opened.branch_a]),
+        "to_domain": np.append(number[end], pore[opened.branch_b]),
+    }
 
 
 def _throats(net: Network, opened: Apertures, pipe: np.ndarray) -> dict[str, np.ndarray]:

@@ -16,6 +16,7 @@ import xarray as xr
 
 from demflow.model.outcome import Status
 from demflow.model.transient import SMOOTHING, bourdet_derivative
+from demflow.sweep.analysis.cases import Index, case_title, done, events
 from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.analysis.sensitivity import sensitivity
 from demflow.sweep.dataset.open import open_results, same_value
@@ -120,17 +121,7 @@ class Results:
         self._check_well(well)
         for unit, like in ((time, "s"), (pressure, "Pa")):
             _check_unit(unit, like)
-        chosen = self._dataset
-        for axis, value in at.items():
-            if axis not in self._variable("status").dims:
-                there = ", ".join(map(str, self._variable("status").dims)) or "none"
-                raise ResultsError(f"{axis} is no axis of the study; they are {there}")
-            values = self._dataset[axis].values
-            places = [k for k, one in enumerate(values) if same_value(one, value)]
-            if not places:  # the nearest one is not taken in silence
-                told = ", ".join(str(one) for one in values)
-                raise ResultsError(f"{axis} = {value} is not there; give one of {told}")
-            chosen = chosen.isel({axis: places[0]})
+        chosen = self._dataset.isel(self._places(at))
         return plot_period(chosen, well, ax, since=since, until=until, time=time, pressure=pressure)
 
     def plot_measured(
@@ -200,18 +191,12 @@ class Results:
             p: np.ndarray, fall: np.ndarray, rate: np.ndarray, porosity: float, done: bool
         ) -> tuple[np.ndarray, np.ndarray]:
             none = np.full(len(told), np.nan)
-            known = [(0.0, float(rate[-1]))] if rates is None else list(rates)
-            before = known[-2][1] if len(known) > 1 else 0.0
-            begin, sign = known[-1][0], np.sign(known[-1][1] - before)
-            now = (times > begin) & np.isfinite(p) & np.isfinite(fall)
-            if not done or not now.any():
-                why = "no pressure after the last change of the rate" if done else "not done"
-                return none, np.array(why, dtype=object)
+            if not done:
+                return none, np.array("not done", dtype=object)
             try:
-                first = float((p + sign * fall)[now][0])  # just before the period began
+                record, known = _last_period(times, p, fall, rate, rates)
                 found = straight_line(
-                    np.append(begin, times[now]),
-                    np.append(first, p[now]),
+                    *record,
                     known,
                     Rock(porosity, viscosity, compressibility, well_radius),
                     plot=plot,
@@ -238,6 +223,196 @@ class Results:
             for k, name in enumerate(told)
         }
         return xr.Dataset({**lines, "message": message.astype(str)})
+
+    def plot_straight_line(
+        self,
+        well: str,
+        ax: Axes | None = None,
+        *,
+        viscosity: float,
+        compressibility: float = np.nan,
+        well_radius: float = np.nan,
+        plot: str = "superposition",
+        rates: Sequence[tuple[float, float]] | None = None,
+        between: tuple[float, float] | None = None,
+        time: str = "h",
+        pressure: str = "kPa",
+    ) -> Axes:
+        """Draw a well's last flow period on its MDH, Horner or superposition plot; return the axes.
+
+        Dots are pressures, the dashed line is what `straight_line` finds with the same arguments;
+        the labels tell permeability, skin factor and p* of each case, or why it has no line.
+
+        Parameters
+        ----------
+        well : name of the well.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        viscosity, compressibility, well_radius, plot, rates, between : as for `straight_line`.
+        time, pressure : units of the axes.
+
+        Raises ResultsError as `straight_line`, and where more cases are done than can be told
+        apart, or none.
+        """
+        from demflow.sweep.analysis.straight_lines import PLOTS
+        from demflow.sweep.figures.horner import plot_straight_line
+        from demflow.sweep.figures.style import sequence
+        from demflow.sweep.figures.wells import MOST_LINES
+
+        if plot not in PLOTS:
+            raise ResultsError(f"there is no plot {plot}, only {', '.join(PLOTS)}")
+        for unit, like in ((time, "s"), (pressure, "Pa")):
+            _check_unit(unit, like)
+        self._check_well(well)
+        shown = list(done(self._dataset))
+        if not 0 < len(shown) <= MOST_LINES:
+            raise ResultsError(
+                f"{len(shown)} cases are done, and 1 to {MOST_LINES} can be told apart; choose "
+                "some by isel or sel"
+            )
+        if rates is None:
+            self._check_rates(self._variable("pressure_change").sel(well=[well]), "give `rates`")
+        else:
+            self._check_told(well, rates)
+        panel, times = _axes(ax), np.asarray(self._dataset["elapsed_time"].values, dtype=float)
+        for index, colour in zip(shown, sequence(len(shown)), strict=True):
+            case = self._dataset.isel(index).sel(well=well)
+            names = ("well_pressure", "pressure_change", "well_rate")
+            p, fall, rate = (np.asarray(case[name].values, dtype=float) for name in names)
+            try:
+                record, known = _last_period(times, p, fall, rate, rates)
+                plot_straight_line(
+                    record,
+                    known,
+                    Rock(float(case["porosity"]), viscosity, compressibility, well_radius),
+                    panel,
+                    plot=plot,
+                    between=between,
+                    name=case_title(self._dataset, index),
+                    units=(time, pressure),
+                    colour=colour,
+                )
+            except ValueError as error:
+                raise ResultsError(str(error)) from None
+        return panel
+
+    def plot_deconvolution(
+        self,
+        well: str,
+        time: np.ndarray,
+        pressure: np.ndarray,
+        rates: Sequence[tuple[float, float]],
+        ax: Axes | None = None,
+        *,
+        pressure_error: float,
+        **options: Any,
+    ) -> Axes:
+        """Draw what one rate would have shown behind a gauge's record, and what cases compute.
+
+        Parameters
+        ----------
+        well : of the dataset, whose cases flow at one rate from the start.
+        time, pressure : (n,) s, increasing, and Pa, measured.
+        rates : (time in s, new rate in m³/s) of the record, in order.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        pressure_error : standard deviation of the measured pressures, Pa.
+        options : more of `sweep.analysis.deconvolution.deconvolve`, as `rate_error`.
+
+        Raises ResultsError where there is no such well, its rate changes, too many cases are done,
+        or the record allows no deconvolution.
+        """
+        from demflow.sweep.analysis.deconvolution import deconvolve
+        from demflow.sweep.figures.deconvolution import plot_deconvolution
+
+        for name in ("pressure_change", "pressure_derivative", "well_rate"):
+            self._variable(name)
+        self._check_well(well)
+        try:
+            found = deconvolve(time, pressure, rates, pressure_error=pressure_error, **options)
+        except ValueError as error:
+            raise ResultsError(str(error)) from None
+        return plot_deconvolution(self._dataset, well, found, _axes(ax))
+
+    def plot_sensitivity(
+        self, of: str | xr.DataArray, ax: Axes | None = None, **options: Any
+    ) -> Axes:
+        """Draw how much each sampled parameter decides a result: Sobol' or Morris bars.
+
+        Parameters
+        ----------
+        of : a variable with one number a case, or such an array made of some.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        options : of `sensitivity`.
+        """
+        from demflow.sweep.figures.sensitivity import plot_sensitivity
+
+        return plot_sensitivity(self.sensitivity(of, **options), _axes(ax))
+
+    def plot_tornado(self, of: str | xr.DataArray, ax: Axes | None = None, **at: Any) -> Axes:
+        """Draw how far each axis of the study moves a number alone; return the axes.
+
+        Bars go from the number's least to its greatest along an axis, at whose values it has them,
+        while the others stay.
+
+        Parameters
+        ----------
+        of : a variable with one number a case, or such an array made of some.
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        at : where an axis stays while others move, as `rate=1e-5`; by default in its middle.
+        """
+        from demflow.sweep.figures.sensitivity import plot_tornado
+
+        held = {str(axis): n // 2 for axis, n in self._variable("status").sizes.items()}
+        held |= self._places(at)
+        return plot_tornado(self._dataset, self._numbers(of), held, _axes(ax))
+
+    def plot_work_precision(self, ax: Axes | None = None) -> Axes:
+        """Draw the error of each solver against its processor time; return the axes.
+
+        Of a study that varies `solver.method` and observes `time_error`; medians over its other
+        axes, so choose one scene and size first.
+        """
+        from demflow.sweep.analysis.speed import ladders_of
+        from demflow.sweep.figures.speed import plot_work_precision
+
+        return plot_work_precision(ladders_of(self._dataset), _axes(ax))
+
+    def plot_settlement(self, wall: str, ax: Axes | None = None) -> Axes:
+        """Draw the way of a wall inwards against time, a few cases; return the axes."""
+        from demflow.sweep.figures.movement import plot_settlement
+
+        return plot_settlement(self._dataset, wall, _axes(ax))
+
+    def plot_slip(self, ax: Axes | None = None, of: str = "joint_slip") -> Axes:
+        """Draw slip of joints against the first well's pressure, a few cases; return the axes.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        of : joint_slip, or permeability_in_time.
+        """
+        from demflow.sweep.figures.movement import plot_slip
+
+        return plot_slip(self._dataset, _axes(ax), of)
+
+    def plot_breaks(self, ax: Axes | None = None, *, places: bool = False, **at: Any) -> Axes:
+        """Draw how much of one case broke until each time, by mode, or where; return the axes.
+
+        Parameters
+        ----------
+        ax : matplotlib Axes to draw on; by default pyplot's current.
+        places : draw where it broke instead.
+        at : the case, by its value on every axis of the study that varies.
+        """
+        from demflow.sweep.figures.events import plot_break_places, plot_breaks
+
+        self._variable("event_time")
+        chosen = self._places(at)
+        sizes = self._variable("status").sizes
+        left = [str(axis) for axis, n in sizes.items() if n > 1 and axis not in chosen]
+        if left:
+            raise ResultsError(f"choose the case: give a value of {', '.join(left)}")
+        own = events(self._dataset, {str(axis): 0 for axis in sizes} | chosen)
+        return (plot_break_places if places else plot_breaks)(own, _axes(ax))
 
     def plot_along(self, of: str | xr.DataArray, axis: str, ax: Axes | None = None) -> Axes:
         """Draw a number against an axis of the study; return the axes.
@@ -401,6 +576,21 @@ class Results:
             raise ResultsError("Parquet needs pyarrow: pip install pyarrow") from None
         return Path(path)
 
+    def _places(self, at: Mapping[str, Any]) -> Index:
+        """Positions of values on axes of the study. Raises ResultsError where one is not there."""
+        found: Index = {}
+        for axis, value in at.items():
+            if axis not in self._variable("status").dims:
+                there = ", ".join(map(str, self._variable("status").dims)) or "none"
+                raise ResultsError(f"{axis} is no axis of the study; they are {there}")
+            values = self._dataset[axis].values
+            places = [k for k, one in enumerate(values) if same_value(one, value)]
+            if not places:  # the nearest one is not taken in silence
+                told = ", ".join(str(one) for one in values)
+                raise ResultsError(f"{axis} = {value} is not there; give one of {told}")
+            found[axis] = places[0]
+        return found
+
     def _numbers(self, of: str | xr.DataArray) -> xr.DataArray:
         """One number a case. Raises ResultsError for what has more."""
         values = self._variable(of) if isinstance(of, str) else of
@@ -490,6 +680,27 @@ class Results:
             return name
         unit = str(self._dataset[name].attrs.get("units", "1"))
         return name if unit == "1" or not unit else f"{name} [{unit}]"
+
+
+def _last_period(
+    times: np.ndarray,
+    pressure: np.ndarray,
+    change: np.ndarray,
+    rate: np.ndarray,
+    rates: Sequence[tuple[float, float]] | None,
+) -> tuple[tuple[np.ndarray, np.ndarray], list[tuple[float, float]]]:
+    """Times and pressures of a case's last flow period, from just before it, and all its rates.
+
+    Raises ValueError where it has no pressure in that period.
+    """
+    known = [(0.0, float(rate[-1]))] if rates is None else list(rates)
+    before = known[-2][1] if len(known) > 1 else 0.0
+    begin, sign = known[-1][0], np.sign(known[-1][1] - before)
+    now = (times > begin) & np.isfinite(pressure) & np.isfinite(change)
+    if not now.any():
+        raise ValueError("no pressure after the last change of the rate")
+    first = float((pressure + sign * change)[now][0])
+    return (np.append(begin, times[now]), np.append(first, pressure[now])), known
 
 
 def _axes(ax: Axes | None) -> Axes:

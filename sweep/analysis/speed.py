@@ -16,6 +16,7 @@ from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import axes
 from demflow.sweep.analysis.compare import MapsOf, SceneOf, comparison_problem
 from demflow.sweep.analysis.table import Table, table
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.study.load import Study
 
 
@@ -130,6 +131,32 @@ def speed_tables(result: SpeedError) -> list[Table]:
             of_model,
         ),
     ]
+
+
+def ladders_of(dataset: xr.Dataset) -> list[Ladder]:
+    """Error in time and processor time of each solver that a study compares, from its dataset.
+
+    Medians over all axes but that of the solvers.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it, of one scene and size
+
+    Raises
+    ------
+    ResultsError : the study measures no time error, or no axis sets the solver's method.
+    """
+    if not {"time_error", "solver_time"} <= set(dataset.data_vars):
+        raise ResultsError("the dataset has no time_error and solver_time: observe time_error")
+    if "solver_method" not in dataset.coords or dataset["solver_method"].ndim != 1:
+        raise ResultsError("no axis of the study sets solver.method")
+    solver = str(dataset["solver_method"].dims[0])
+    beside = [n for n in dataset.coords if str(n).startswith("solver_")]
+    settings = [
+        {f"solver.{str(n).removeprefix('solver_')}": dataset[n].values[k].item() for n in beside}
+        for k in range(dataset.sizes[solver])
+    ]
+    return _ladders(dataset, solver, settings, "", 0)
 
 
 def _words(dataset: xr.Dataset, axis: str | None, otherwise: str) -> tuple[str, ...]:

@@ -108,11 +108,8 @@ def straight_line(
     skin_error = 0.5 * sure * math.sqrt(max(deviation**2 + mixed, 0.0))
     endless = math.nan
     if last == 0.0 and plot != "mdh":
-        far = -sum(
-            (new - old) / step * math.log(begin - time)
-            for (time, new), old in zip(known[:-1], [0.0, *(q for _, q in known)], strict=False)
-        )
-        endless = float(p[earlier[-1]]) - math.copysign(1.0, step) * (slope * far + height)
+        fallen = slope * _endless(known) + height
+        endless = float(p[earlier[-1]]) - math.copysign(1.0, step) * fallen
     skin = 0.5 * (height / slope - shape)
     return StraightLine(
         plot=plot,
@@ -127,6 +124,42 @@ def straight_line(
         start=float(since[on_it][0]),
         end=float(since[on_it][-1]),
         points=int(np.count_nonzero(on_it)),
+    )
+
+
+def abscissa(times: ArrayLike, rates: Rates, plot: str) -> tuple[np.ndarray, float]:
+    """Over what a plot lays the pressures of the last flow period, and its end.
+
+    Parameters
+    ----------
+    times : (t,) s since the start, after the last change of the rate.
+    rates : (time in s, new rate in m³/s) in order.
+    plot : mdh, horner or superposition.
+
+    Returns
+    -------
+    (t,) sum of natural logarithms of times in s, in which radial flow is a straight line; and its
+    value after an infinite time, inf of a well that flows and of the MDH plot.
+
+    Raises
+    ------
+    ValueError : as `straight_line`.
+    """
+    if plot not in PLOTS:
+        raise ValueError(f"{plot!r} is none of {', '.join(PLOTS)}")
+    changes = _changes(rates)
+    known = _known_rates(changes, plot)
+    shut = changes[-1][1] == 0.0 and plot != "mdh"
+    end = _endless(known) if shut else math.inf
+    return _logarithms(np.asarray(times, dtype=float), known), end
+
+
+def _endless(known: list[tuple[float, float]]) -> float:
+    """The sum of logarithms of a well that is shut in, after an infinite time."""
+    begin, step = known[-1][0], known[-1][1] - known[-2][1]
+    return -sum(
+        (new - old) / step * math.log(begin - time)
+        for (time, new), old in zip(known[:-1], [0.0, *(q for _, q in known)], strict=False)
     )
 
 

@@ -87,7 +87,9 @@ def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
     return case_of(Path(folder), at)
 
 
-def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Dataset:
+def case_of(
+    folder: Path, at: Mapping[str, Any], table: str = MODEL, *, ends: bool = True
+) -> xr.Dataset:
     """Do what `open_case` does, with any table of stages.
 
     Parameters
@@ -95,6 +97,7 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
     folder : of the study’s results
     at : value on each axis
     table : the table of stages, as `module:name`
+    ends : whether with the domains that pipes join, see `model.maps.case_maps`
     """
     study = _study(folder)
     try:
@@ -127,9 +130,9 @@ def case_of(folder: Path, at: Mapping[str, Any], table: str = MODEL) -> xr.Datas
         except (DamagedError, OSError) as error:
             why = f"{error}; `demflow run` computes what is damaged again"
             raise ResultsError(f"the case's {stage.name} cannot be read: {why}") from error
-    from demflow.model.maps import case_maps  # with Numba, which numbers of a study do not need
+    from demflow.model.maps import case_maps  # physics, which numbers of a study do not need
 
-    return _dataset(study, scene, case_maps(scene, products), index)
+    return _dataset(study, scene, case_maps(scene, products, ends=ends), index)
 
 
 # stages that a case has of its own where no family takes their place

@@ -22,7 +22,7 @@ from demflow.sweep.analysis.cases import events as events_of
 from demflow.sweep.analysis.compare import ComparisonError, MapsOf, SceneOf
 from demflow.sweep.analysis.speed import Roles, roles_of, speed_against_error, speed_tables
 from demflow.sweep.analysis.table import Table
-from demflow.sweep.dataset.open import open_case
+from demflow.sweep.dataset.open import case_of
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.events import draw_events
 from demflow.sweep.figures.failure import draw_failure
@@ -46,7 +46,7 @@ from demflow.sweep.study.reservoir import Rock
 
 __all__ = ["Figures", "Form", "maps_reader", "write_animations", "write_figures"]
 
-MOST_MAPS = 4  # cases whose maps are drawn
+MOST_MAPS = 4  # cases whose maps are read, for pictures and page
 LONGEST_NAME = 80  # letters of a well in the name of a file
 
 
@@ -69,7 +69,7 @@ def maps_reader(dataset: xr.Dataset, results_dir: Path) -> MapsOf:
     @lru_cache(maxsize=MOST_MAPS)
     def maps_at(position: tuple[tuple[str, int], ...]) -> xr.Dataset:
         values = {axis: dataset[axis].values[at].item() for axis, at in position}
-        return open_case(results_dir, **values)
+        return case_of(results_dir, values, ends=False)
 
     return lambda index: maps_at(tuple(index.items()))
 
@@ -215,7 +215,8 @@ def _draw(
         drawn.append(draw_settlement(dataset, folder / "settlement.png"))
         corners = representative_cases(dataset)
         most = PANELS if len(corners) == 1 else PANELS // 2
-        for k, index in enumerate(corners):
+        # the first and the last corner: the report's page draws the others itself
+        for k, index in enumerate(corners[:: max(len(corners) - 1, 1)]):
             if "pressure_map" in scene_of(index).observe:
                 title = f"{study.title}\n{case_title(dataset, index)}".strip()
                 path = folder / f"pressure_map_{k}.png"

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
 
 from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import Index, axes, case_title, display, events
@@ -60,19 +62,52 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
         broken.yaxis.get_major_locator().set_params(integer=True)
         broken.grid(False)
         in_time.set(xlabel="time (s)", title=case_title(dataset, index))
-        scale, length = display("m", np.concatenate([own["event_x"].values, own["event_y"].values]))
-        for mode, word, colour in MODES:
-            which = own["event_mode"].values == mode
-            if which.any():
-                path_of_it.scatter(
-                    scale * own["event_x"].values[which],
-                    scale * own["event_y"].values[which],
-                    s=8.0,
-                    color=colour,
-                    linewidths=0.0,
-                    label=f"{np.count_nonzero(which)} {word}",
-                )
-        path_of_it.set(xlabel=f"x ({length})", ylabel=f"y ({length})")
-        path_of_it.set_aspect("equal", adjustable="datalim")
-        path_of_it.legend()
+        plot_break_places(own, path_of_it).legend()
     return save(figure, path, "Pressure of the wells, breaks in time, and where they are")
+
+
+def plot_breaks(own: xr.Dataset, panel: Axes) -> Axes:
+    """Draw how many contacts broke, or began to slide, until each time, by mode; return the axes.
+
+    Parameters
+    ----------
+    own : of one case, with `event_time` (s) and `event_mode`
+    panel : where to draw
+    """
+    times = own["event_time"].values
+    factor, unit = display("s", times)
+    last = times.max(initial=0.0)
+    for mode, word, colour in MODES:
+        at = np.sort(times[own["event_mode"].values == mode])
+        if len(at):
+            count = np.append(np.arange(len(at) + 1), len(at))
+            places = factor * np.concatenate([[0.0], at, [last]])
+            panel.step(places, count, where="post", color=colour, label=f"{len(at)} {word}")
+    panel.set(xlabel=f"time ({unit})", ylabel="breaks until then", ylim=(0.0, None))
+    panel.yaxis.set_major_locator(MaxNLocator(integer=True))
+    return panel
+
+
+def plot_break_places(own: xr.Dataset, panel: Axes) -> Axes:
+    """Draw where contacts broke or began to slide, by mode; return the axes.
+
+    Parameters
+    ----------
+    own : of one case, with `event_x`, `event_y` (m) and `event_mode`
+    panel : where to draw
+    """
+    scale, length = display("m", np.concatenate([own["event_x"].values, own["event_y"].values]))
+    for mode, word, colour in MODES:
+        which = own["event_mode"].values == mode
+        if which.any():
+            panel.scatter(
+                scale * own["event_x"].values[which],
+                scale * own["event_y"].values[which],
+                s=8.0,
+                color=colour,
+                linewidths=0.0,
+                label=f"{np.count_nonzero(which)} {word}",
+            )
+    panel.set(xlabel=f"x ({length})", ylabel=f"y ({length})")
+    panel.set_aspect("equal", adjustable="datalim")
+    return panel

@@ -1,21 +1,32 @@
-"""Horner plots: a build-up against the logarithm of (t_p + Δt) / Δt."""
+"""Flow periods on the axes on which radial flow is a straight line: MDH, Horner, superposition."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 
 from demflow.model.outcome import Status
 from demflow.model.scene import Well
 from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display, with_unit
-from demflow.sweep.analysis.straight_lines import StraightLine, straight_line
-from demflow.sweep.figures.style import LINE_STYLES, legend_text, new_figure, pick, save, shades
+from demflow.sweep.analysis.straight_lines import Rates, StraightLine, abscissa, straight_line
+from demflow.sweep.figures.style import (
+    BLUE,
+    LINE_STYLES,
+    legend_text,
+    new_figure,
+    pick,
+    save,
+    shades,
+)
 from demflow.sweep.figures.wells import WellOf
 from demflow.sweep.study.reservoir import Rock
+from demflow.sweep.study.units import parse_unit
 
 _MOST = (5, 3)  # values shown by colour and by line style
 
@@ -58,8 +69,7 @@ def draw_horner(
     styles = pick(dataset.sizes[style], _MOST[1]) if style else [0]
     times = dataset["elapsed_time"].values
     factor, unit = display("Pa", float(np.nanmax(np.abs(dataset["well_pressure"].values))))
-    figure = new_figure(7.4, 4.6)
-    panel = figure.subplots()
+    panel: Axes | None = None
     drawn = 0
     for (c, i), (s, j) in product(enumerate(colours), enumerate(styles)):
         index = {a: 0 for a in axes(dataset)}
@@ -81,6 +91,8 @@ def draw_horner(
             case["well_pressure"].sel(well=well).values,
             shades("Blues", len(colours))[c],
         )
+        if panel is None:
+            panel = new_figure(7.4, 4.6).subplots()
         line = _line(times, pressure, own, rock_of(index, own))
         if line is not None:
             told = f"k {with_unit(line.permeability, 'm2', 3)}, S {line.skin_factor:.2f}"
@@ -97,7 +109,7 @@ def draw_horner(
             label=legend_text(named or well),
         )
         drawn += 1
-    if not drawn:
+    if panel is None:
         return None
     panel.set(
         xscale="log",
@@ -113,7 +125,89 @@ def draw_horner(
         "the initial pressure at 1. Dashed: the line of what the derivative shows as radial, with "
         "what it gives."
     )
+    figure = panel.get_figure(root=True)
+    assert figure is not None
     return save(figure, path, caption)
+
+
+def plot_straight_line(
+    record: tuple[np.ndarray, np.ndarray],
+    rates: Rates,
+    rock: Rock,
+    panel: Axes,
+    *,
+    plot: str = "superposition",
+    between: tuple[float, float] | None = None,
+    name: str = "",
+    units: tuple[str, str] = ("h", "kPa"),
+    colour: Any = BLUE,
+) -> Axes:
+    """Draw the last flow period of a record, and the straight line through its radial flow.
+
+    The label tells permeability, skin factor and p*, or why there is no line.
+
+    Parameters
+    ----------
+    record : (t,) s and (t,) Pa, with a point at or before the last change of the rate
+    rates : (time in s, new rate in m³/s) in order
+    rock : viscosity, and for the skin porosity, compressibility and radius of the well
+    panel : where to draw
+    plot : mdh, horner or superposition
+    between : s since the period began; by default the radial stretch of the derivative
+    name : what tells this record from others
+    units : of time and pressure
+    colour : of the points
+
+    Raises ValueError for another plot, and rates that it does not suit.
+    """
+    times, pressure = record
+    changes = [one for one in rates if one[0] <= rates[-1][0]]
+    now = times > changes[-1][0]
+    x, end = abscissa(times[now], changes, plot)
+    hours, shown = (float(1 / parse_unit(unit).factor) for unit in units)
+
+    def place(x: np.ndarray) -> np.ndarray:
+        if plot == "superposition":
+            return x
+        return np.exp(x) * hours if plot == "mdh" else np.exp(end - x)
+
+    told = ""
+    try:
+        line = straight_line(times, pressure, changes, rock, plot=plot, between=between)
+    except ValueError as error:
+        told = f"no straight line: {error}"
+    else:
+        told = f"k {with_unit(line.permeability, 'm2', 3)}"
+        if np.isfinite(line.skin_factor):
+            told += f", S {line.skin_factor:.2f}"
+        far = np.log(line.end) if not np.isfinite(end) else end
+        if np.isfinite(line.extrapolated):
+            told += f", p* {with_unit(line.extrapolated, 'Pa')}"
+        ends = np.array([x.min(), max(x.max(), far)])
+        before = pressure[np.flatnonzero(~now)[-1]]
+        step = changes[-1][1] - (changes[-2][1] if len(changes) > 1 else 0.0)
+        reached = before - np.sign(step) * (line.height + line.slope * ends)
+        panel.plot(place(ends), reached * shown, color="0.4", linewidth=0.8, linestyle="--")
+    panel.plot(
+        place(x),
+        pressure[now] * shown,
+        "o",
+        markersize=3,
+        markerfacecolor="none",
+        color=colour,
+        label=legend_text(f"{name}: {told}" if name else told),
+    )
+    titles = {
+        "mdh": f"time since the rate change Δt ({units[0]})",
+        "horner": "Horner time (t_p + Δt) / Δt",
+        "superposition": "superposition time, natural logarithm of s",
+    }
+    panel.set(xlabel=titles[plot], ylabel=f"well pressure ({units[1]})")
+    if plot != "superposition":
+        panel.set_xscale("log")
+    if plot == "horner" and not panel.xaxis_inverted():
+        panel.invert_xaxis()
+    return panel
 
 
 def _line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -88,7 +89,16 @@ def polygons(maps: xr.Dataset) -> list[np.ndarray]:
     offset = int(connectivity.attrs.get("start_index", 0))
     # a decoded file has NaN, a raw one its fill value (negative here) where a face has no corner
     kept = np.isfinite(faces) & (faces >= offset)
-    return [nodes[row[good].astype(int) - offset] for row, good in zip(faces, kept, strict=True)]
+    corners = (faces[kept] - offset).astype(np.int64)
+    counts = np.count_nonzero(kept, axis=1)
+    return _split(nodes.tobytes(), corners.tobytes(), counts.tobytes())
+
+
+@lru_cache(maxsize=1)  # cases that differ in more than their grains have the same
+def _split(nodes: bytes, corners: bytes, counts: bytes) -> list[np.ndarray]:
+    """Corners of each polygon, from those of all, one after the other."""
+    at = np.frombuffer(nodes).reshape(-1, 2)[np.frombuffer(corners, dtype=np.int64)]
+    return np.split(at, np.cumsum(np.frombuffer(counts, dtype=np.int64))[:-1])
 
 
 class Pores(NamedTuple):
@@ -106,16 +116,23 @@ def pores_on_pixels(maps: xr.Dataset) -> Pores:
     maps : of one case, with the mesh of its domains
     """
     corners = polygons(maps)
-    nodes = np.concatenate(corners)
+    counts = np.array([len(one) for one in corners])
+    return _rastered(np.concatenate(corners).tobytes(), counts.tobytes(), pixels())
+
+
+@lru_cache(maxsize=1)
+def _rastered(corners: bytes, counts: bytes, longer: int) -> Pores:
+    """Pores on as many pixels along the longer side, from their corners one after the other."""
+    nodes = np.frombuffer(corners).reshape(-1, 2)
     low, high = nodes.min(axis=0), nodes.max(axis=0)
-    scale = pixels() / float(np.max(high - low))
+    scale = longer / float(np.max(high - low))
     columns, rows = (max(int(np.ceil(size)), 1) for size in (high - low) * scale)
     canvas = Image.new("I", (columns, rows), 0)
     pen = ImageDraw.Draw(canvas)
     flat = ((nodes - low) * scale - 0.5).ravel().tolist()
     end = 0
-    for number, one in enumerate(corners, start=1):
-        begin, end = end, end + 2 * len(one)
+    for number, count in enumerate(np.frombuffer(counts, dtype=int).tolist(), start=1):
+        begin, end = end, end + 2 * count
         pen.polygon(flat[begin:end], fill=number)
     left, bottom = map(float, low)
     right, top = left + columns / scale, bottom + rows / scale
@@ -392,7 +409,7 @@ def draw_traces(panel: Axes, maps: xr.Dataset) -> None:
     """
     if "branch_from" in maps:
         nodes = np.stack([maps["fracture_node_x"].values, maps["fracture_node_y"].values], axis=1)
-        segments = nodes[np.stack([maps["branch_from"], maps["branch_to"]], axis=1)]
+        segments = nodes[np.stack([maps[f"branch_{end}"].values for end in ("from", "to")], axis=1)]
         aperture = maps["branch_aperture"].values
         widths = NARROWEST + (WIDEST - NARROWEST) * aperture / max(aperture.max(initial=0.0), TINY)
     elif "trace_from_x" in maps:

@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 
 from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     LINE_STYLES,
     legend_text,
@@ -51,18 +52,44 @@ def draw_settlement(dataset: xr.Dataset, path: Path) -> Path | None:
     moving = np.flatnonzero(largest > _STILL * largest.max()).tolist()
     if not moving:
         return None
-    factor, unit = display("m", np.abs(np.asarray(inwards)[:, moving]))
-    time, of_time = display("s", dataset["elapsed_time"].values)
     figure, panels = _panels(len(moving))
     for panel, wall in zip(panels, moving, strict=True):
-        for way, (_, look) in zip(inwards, cases, strict=True):
-            panel.plot(time * dataset["elapsed_time"].values, factor * way[wall], **look)
         name = str(dataset["wall"].values[wall])
-        panel.set(xscale="log", xlabel=f"time ({of_time})", title=f"{name} wall")
-    panels[0].set_ylabel(f"way inwards: settlement ({unit})")
+        plot_settlement(dataset, name, panel).set_title(f"{name} wall")
     if len(cases) > 1:
         panels[0].legend()
     return save(figure, path, "Ways of the walls inwards, such as settlement, in time")
+
+
+def plot_settlement(dataset: xr.Dataset, wall: str, panel: Axes) -> Axes:
+    """Draw the way of a wall inwards against time, a few cases; return the axes.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it, with `wall_displacement`
+    wall : left, right, bottom or top
+    panel : where to draw
+
+    Raises ResultsError where no walls were observed, there is no such wall, or no case has a
+    result.
+    """
+    if "wall_displacement" not in dataset:
+        raise ResultsError("the dataset has no wall_displacement: observe it")
+    walls = [str(name) for name in dataset["wall"].values]
+    if wall not in walls:
+        raise ResultsError(f"there is no wall {wall}; there are {', '.join(walls)}")
+    cases = _some(dataset)
+    curves = [-case["wall_displacement"].sel(wall=wall).values for case, _ in cases]
+    factor, unit = display("m", np.abs(curves))
+    time, of_time = display("s", dataset["elapsed_time"].values)
+    for curve, (_, look) in zip(curves, cases, strict=True):
+        panel.plot(time * dataset["elapsed_time"].values, factor * curve, **look)
+    panel.set(
+        xscale="log",
+        xlabel=f"time ({of_time})",
+        ylabel=f"way inwards: settlement ({unit})",
+    )
+    return panel
 
 
 def draw_slip(dataset: xr.Dataset, path: Path) -> Path | None:
@@ -77,27 +104,54 @@ def draw_slip(dataset: xr.Dataset, path: Path) -> Path | None:
     path : where the figure is written
     """
     shown = [name for name in ("joint_slip", "permeability_in_time") if name in dataset]
-    cases = list(_cases(dataset))
-    if not shown or "well_pressure" not in dataset or not cases:
+    cases = list(_cases(dataset)) if shown and "well_pressure" in dataset else []
+    if not cases:
         return None
-    pressures = [case["well_pressure"].isel(well=0).values for case, _ in cases]
-    factor, unit = display("Pa", np.abs(pressures))
     figure, panels = _panels(len(shown))
     for panel, name in zip(panels, shown, strict=True):
-        if name == "joint_slip":
-            curves = [case[name].values for case, _ in cases]
-            scale, slip = display("m", np.abs(curves))
-            title = f"mean slip of the joints ({slip})"
-        else:
-            curves = [_mean(case[name]) / _mean(case["permeability_at_start"]) for case, _ in cases]
-            scale, title = 1.0, "mean permeability over that at the start"
-        for pressure, curve, (_, look) in zip(pressures, curves, cases, strict=True):
-            panel.plot(factor * pressure, scale * curve, marker=".", **look)
-        well = str(dataset["well"].values[0])
-        panel.set(xlabel=f"pressure of {well} ({unit})", ylabel=title)
+        plot_slip(dataset, panel, name)
     if len(cases) > 1:
         panels[0].legend()
     return save(figure, path, "Slip of joints and permeability in time against well pressure")
+
+
+def plot_slip(dataset: xr.Dataset, panel: Axes, of: str = "joint_slip") -> Axes:
+    """Draw slip of joints, or permeability, against the first well's pressure, a few cases.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it, with `well_pressure`
+    panel : where to draw
+    of : joint_slip, or permeability_in_time, which is drawn over that at the start
+
+    Raises ResultsError where it was not observed, there is no well, or no case has a result.
+    """
+    for name in (of, "well_pressure"):
+        if name not in dataset or of not in ("joint_slip", "permeability_in_time"):
+            raise ResultsError(f"the dataset has no {name} to draw: observe it")
+    cases = _some(dataset)
+    pressures = [case["well_pressure"].isel(well=0).values for case, _ in cases]
+    factor, unit = display("Pa", np.abs(pressures))
+    if of == "joint_slip":
+        curves = [case[of].values for case, _ in cases]
+        scale, slip = display("m", np.abs(curves))
+        title = f"mean slip of the joints ({slip})"
+    else:
+        curves = [_mean(case[of]) / _mean(case["permeability_at_start"]) for case, _ in cases]
+        scale, title = 1.0, "mean permeability over that at the start"
+    for pressure, curve, (_, look) in zip(pressures, curves, cases, strict=True):
+        panel.plot(factor * pressure, scale * curve, marker=".", **look)
+    well = str(dataset["well"].values[0])
+    panel.set(xlabel=f"pressure of {well} ({unit})", ylabel=title)
+    return panel
+
+
+def _some(dataset: xr.Dataset) -> list[tuple[xr.Dataset, dict[str, Any]]]:
+    """The cases that are drawn. Raises ResultsError where none came to results."""
+    found = list(_cases(dataset))
+    if not found:
+        raise ResultsError("no case that would be drawn came to results")
+    return found
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:

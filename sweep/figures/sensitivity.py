@@ -7,11 +7,27 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib.axes import Axes
 
-from demflow.sweep.analysis.cases import axes, display
+from demflow.sweep.analysis.cases import (
+    Index,
+    axes,
+    axis_title,
+    axis_value,
+    case_title,
+    display,
+)
 from demflow.sweep.analysis.sensitivity import OBSERVED, sensitivity
 from demflow.sweep.errors import ResultsError
-from demflow.sweep.figures.style import BLUE, VERMILION, legend_text, name_ticks, new_figure, save
+from demflow.sweep.figures.style import (
+    BLACK,
+    BLUE,
+    VERMILION,
+    legend_text,
+    name_ticks,
+    new_figure,
+    save,
+)
 
 RESULTS = ("permeability", "well_pressure", "well_rate", "boundary_flow", "peak_strength")
 MOST = 6  # panels
@@ -44,27 +60,94 @@ def draw_sensitivity(dataset: xr.Dataset, path: Path) -> Path | None:
     panels = panels[:MOST]
     names = list(panels[0][1]["parameter"].values)
     figure = new_figure(2.0 + 2.4 * len(panels), 1.4 + 0.4 * len(names))
-    rows = np.arange(len(names))
     unknown = 0
     for panel, (title, found) in zip(
         figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True
     ):
         unknown = max(unknown, int(found["unknown"]))
-        units = str(found[SHOWN[method][0][0]].attrs["units"])
-        every = [found[f"{name}_high"].values for name, _, _ in SHOWN[method]]
-        factor, unit = display(units, np.concatenate(every)) if units != "1" else (1.0, "")
-        for place, (name, words, colour) in zip((-0.12, 0.12), SHOWN[method], strict=True):
-            low, high = (factor * found[f"{name}_{end}"].values for end in ("low", "high"))
-            panel.hlines(rows + place, low, high, color=colour, linewidth=3, alpha=0.45)
-            panel.plot(factor * found[name], rows + place, "o", color=colour, markersize=4,
-                       label=legend_text(words))  # fmt: skip
-        panel.set(title=title, xlabel=unit or "part of the variance")
-        name_ticks(panel.yaxis, rows, names)
-    figure.axes[0].invert_yaxis()
+        plot_sensitivity(found, panel).set_title(title)
     figure.axes[0].legend()
     what = "Sobol' indices" if method == "saltelli" else "Effects of whole ranges"
     told = f"; {unknown} cases without a good result are bounded by the others" if unknown else ""
     return save(figure, path, f"{what} of the sampled parameters, with 95 % intervals{told}")
+
+
+def plot_sensitivity(found: xr.Dataset, panel: Axes) -> Axes:
+    """Draw Sobol' indices, or Morris' effects, as bars with their intervals; return the axes.
+
+    Parameters
+    ----------
+    found : what `dataset.demflow.sensitivity` gives
+    panel : where to draw; the parameters stand on its y axis, the first on top
+    """
+    method = "saltelli" if "total" in found else "morris"
+    names = [str(name) for name in found["parameter"].values]
+    rows = np.arange(len(names))
+    units = str(found[SHOWN[method][0][0]].attrs["units"])
+    every = [found[f"{name}_high"].values for name, _, _ in SHOWN[method]]
+    factor, unit = display(units, np.concatenate(every)) if units != "1" else (1.0, "")
+    for place, (name, words, colour) in zip((-0.18, 0.18), SHOWN[method], strict=True):
+        value, low, high = (factor * found[f"{name}{end}"].values for end in ("", "_low", "_high"))
+        panel.barh(
+            rows + place, value, 0.32, color=colour, alpha=0.6, linewidth=0.0,
+            label=legend_text(words),
+        )  # fmt: skip
+        panel.hlines(rows + place, low, high, color=BLACK, linewidth=1.2)
+    panel.set(xlabel=unit or "part of the variance", ylim=(len(names) - 0.5, -0.5))
+    name_ticks(panel.yaxis, rows, names)
+    return panel
+
+
+def plot_tornado(dataset: xr.Dataset, values: xr.DataArray, held: Index, panel: Axes) -> Axes:
+    """Draw how far each axis of a study moves a number alone, the strongest on top.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it
+    values : one number a case, in SI
+    held : where each axis stays while another moves; what they all give is the line in the middle
+    panel : where to draw
+
+    Raises ResultsError where the case in the middle has no such number, or no axis varies.
+    """
+    held = {axis: at for axis, at in held.items() if axis in values.dims}
+    middle = float(values.isel(held))
+    if not np.isfinite(middle):
+        told = case_title(dataset, held)
+        raise ResultsError(f"the case in the middle ({told}) has no result; choose another")
+    along: dict[str, np.ndarray] = {}
+    for axis in (a for a in axes(dataset) if dataset.sizes[a] > 1 and a in values.dims):
+        others = {name: at for name, at in held.items() if name != axis}
+        along[axis] = values.isel(others).values
+    if not along:
+        raise ResultsError("no axis of the study varies it")
+    swings = {axis: float(np.nanmax(one) - np.nanmin(one)) for axis, one in along.items()}
+    order = sorted(swings, key=lambda axis: -swings[axis])
+    factor, unit = display(str(values.attrs.get("units", "1")), np.concatenate([*along.values()]))
+    for row, axis in enumerate(order):
+        for extreme, colour, shift in (
+            (np.nanargmin, BLUE, (-4, "right")),
+            (np.nanargmax, VERMILION, (4, "left")),
+        ):
+            at = int(extreme(along[axis]))
+            way = factor * (float(along[axis][at]) - middle)
+            panel.barh(row, way, 0.6, factor * middle, color=colour, alpha=0.7, linewidth=0.0)
+            if way:
+                panel.annotate(
+                    axis_value(dataset, axis, at),
+                    (factor * middle + way, row),
+                    (shift[0], 0),
+                    textcoords="offset points",
+                    ha=shift[1],
+                    va="center",
+                    fontsize="small",
+                )
+    panel.axvline(factor * middle, color=BLACK, linewidth=0.8)
+    panel.margins(x=0.3)
+    name = str(values.attrs.get("long_name", axis_title(str(values.name or ""))))
+    panel.set(xlabel=f"{name} ({unit})" if unit else name, ylim=(len(order) - 0.5, -0.5))
+    name_ticks(panel.yaxis, range(len(order)), [axis_title(axis) for axis in order])
+    return panel
 
 
 def _results(dataset: xr.Dataset) -> Iterator[tuple[str, xr.DataArray]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +120,33 @@ def _draw_scene(panel: Axes, scene: str, result: SpeedError) -> None:
 
 def _refused(ladder: Ladder, scene: str, grains: int) -> bool:
     return ladder.scene == scene and ladder.grains == grains and bool(ladder.refusal)
+
+
+def plot_work_precision(ladders: Sequence[Ladder], panel: Axes) -> Axes:
+    """Draw the error of each solver against its processor time, log-log; return the axes.
+
+    Parameters
+    ----------
+    ladders : solvers from their loosest setting on, see `sweep.analysis.speed.ladders_of`
+    panel : where to draw
+    """
+    for ladder in ladders:
+        order = np.argsort(ladder.error)[::-1]
+        panel.plot(
+            ladder.seconds[order],
+            ladder.error[order],
+            color=_COLOURS.get(ladder.method, GREY),
+            marker=_MARKERS.get(ladder.method, "^"),
+            markersize=4.5,
+            label=legend_text(ladder.method),
+        )
+    panel.set(
+        xscale="log",
+        yscale="log",
+        xlabel="processor time (s)",
+        ylabel="time error, relative",
+    )
+    return panel
 
 
 def _draw_model(panel: Axes, result: SpeedError) -> None:

@@ -85,7 +85,8 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     """
     times = dataset["elapsed_time"].values
     flows = dataset["pressure_change"].sel(well=well)
-    good = [index for index in done(dataset) if np.any(flows.isel(index).values > 0)]
+    seen = (flows.transpose(*axes(dataset), ...) > 0).any("elapsed_time").values
+    good = [index for index in done(dataset) if seen[tuple(index.values())]]
     if not good:
         return None
     shown = _panels(dataset, good[0])

@@ -140,10 +140,14 @@ def _periods(dataset: xr.Dataset, study: Study) -> Any:
     status = np.asarray(dataset["status"].values)
     which = np.zeros((*status.shape, len(wells)), dtype=int)
     scenes = SceneBuilder(study.values, study.axes)
+    known: dict[tuple[int, ...], list[int]] = {}  # by the point of the axes that touch the wells
     for position in np.ndindex(*status.shape):
         if status[position] in (Status.DONE, Status.INACCURATE):
-            for well, starts in enumerate(period_starts(scenes.scene(position), wells)):
-                which[(*position, well)] = lists.setdefault(tuple(starts), len(lists))
+            at = tuple(position[axis] for axis in scenes.touching("wells"))
+            if at not in known:
+                starts = period_starts(scenes.scene(position), wells)
+                known[at] = [lists.setdefault(tuple(one), len(lists)) for one in starts]
+            which[position] = known[at]
     return {"lists": list(lists), "which": which.ravel().tolist()}
 
 

@@ -36,6 +36,10 @@ class SceneBuilder:
         }
         self._present = tuple(key for key in SCENE.members if key in values or self._touching[key])
 
+    def touching(self, block: str) -> tuple[int, ...]:
+        """Numbers of the axes that touch a block: cases that agree on them have the same one."""
+        return self._touching[block]
+
     def scene(self, index: Sequence[int]) -> Scene:
         """The scene at an index; raises SceneError with everything that is wrong with it."""
         problems: list[tuple[str, str]] = []

@@ -11,6 +11,7 @@ import os
 import tempfile
 import traceback
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from unittest import mock
 
@@ -77,7 +78,7 @@ class _Kind:
         if name == "speed":
             self.whole["solver_time"] = self.whole["time_error"] * 1e5
 
-    def _open_case(self, folder: Path, **at: object) -> object:
+    def _case_of(self, folder: Path, at: Mapping[str, object], **_: object) -> object:
         if self.name == "specimens":
             return patterns.record_of_a_test()
         index = tuple(
@@ -90,7 +91,7 @@ class _Kind:
         """Draw a pattern and write its page; the number of figures."""
         dataset = patterns.with_failures(self.whole, good, chance)
         with (
-            mock.patch.object(figures, "open_case", self._open_case),
+            mock.patch.object(figures, "case_of", self._case_of),
             mock.patch.object(
                 figures, "case_at", patterns.shut_in if self.name == "build_up" else figures.case_at
             ),

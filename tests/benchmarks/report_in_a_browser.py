@@ -41,7 +41,7 @@ observe: [well_pressure, permeability, pressure_map]
 HOSTILE = '<img src=x onerror=alert(1)></script><script>alert(2)</script> $x$ & "quotes"'
 
 
-def _study(name: str, count: int, sizes: tuple[int, int, int], title: str = "Cases") -> str:
+def study_text(name: str, count: int, sizes: tuple[int, int, int], title: str = "Cases") -> str:
     vary = VARY
     for word, size in zip(("ANGLES", "APERTURES", "RATES"), sizes, strict=True):
         vary = vary.replace(word, str(size))
@@ -50,18 +50,18 @@ def _study(name: str, count: int, sizes: tuple[int, int, int], title: str = "Cas
 
 
 STUDIES = {  # name -> study; its cases
-    "cases-24": _study("cases-24", 2500, (3, 2, 4)),
-    "cases-100": _study("cases-100", 600, (5, 4, 5)),
-    "cases-1000": _study("cases-1000", 300, (10, 5, 20)),
+    "cases-24": study_text("cases-24", 2500, (3, 2, 4)),
+    "cases-100": study_text("cases-100", 600, (5, 4, 5)),
+    "cases-1000": study_text("cases-1000", 300, (10, 5, 20)),
     "one-case": f"study: one-case\nscene:{SCENE.replace('COUNT', '300')}observe: [well_pressure]\n",
-    "half-failed": _study("half-failed", 300, (2, 2, 2)).replace(
+    "half-failed": study_text("half-failed", 300, (2, 2, 2)).replace(
         "parameter: wells.producer.rate, from: 1e-6 m3/s, to: 1e-5 m3/s, count: 2",
         "parameters: [solver.method, solver.safety_factor], "
         "values: [[krylov, 0.9], [explicit, 2.4]]",
     ),
-    "all-failed": _study("all-failed", 300, (2, 2, 2))
+    "all-failed": study_text("all-failed", 300, (2, 2, 2))
     + "solver: {method: explicit, safety_factor: 2.4}\n",
-    "hostile": _study("hostile", 300, (2, 1, 1), HOSTILE),
+    "hostile": study_text("hostile", 300, (2, 1, 1), HOSTILE),
 }
 
 

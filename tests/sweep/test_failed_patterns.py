@@ -116,7 +116,7 @@ def test_every_pattern_of_failures_is_drawn(name, tmp_path, monkeypatch):
         whole["solver_time"] = whole["time_error"] * 1e5
     kept: dict[tuple[int, ...], xr.Dataset] = {}
 
-    def open_case(folder, **at):
+    def case_of(folder, at, **_):
         index = tuple(
             int(np.flatnonzero(whole[axis.name].values == at[axis.name])[0]) for axis in study.axes
         )
@@ -126,7 +126,7 @@ def test_every_pattern_of_failures_is_drawn(name, tmp_path, monkeypatch):
             )
         return kept[index]
 
-    monkeypatch.setattr(figures, "open_case", open_case)
+    monkeypatch.setattr(figures, "case_of", case_of)
     if name == "build_up":
         monkeypatch.setattr(figures, "case_at", shut_in)
     monkeypatch.setattr(style, "DPI", 20)
@@ -149,7 +149,7 @@ def test_only_what_was_drawn_is_ever_replaced_or_removed(tmp_path, monkeypatch):
     study = study_of(FEW, tmp_path)
     dataset = invented_dataset(study)
     monkeypatch.setattr(style, "DPI", 20)
-    monkeypatch.setattr(figures, "open_case", lambda *_, **at: invented_maps(study, (0,) * 4, 6.0))
+    monkeypatch.setattr(figures, "case_of", lambda *_, **__: invented_maps(study, (0,) * 4, 6.0))
     folder, elsewhere = tmp_path / "figures", tmp_path / "elsewhere.png"
     folder.mkdir()
     for name in ("mine.png", "mine.csv", "permeability.png"):
@@ -168,15 +168,16 @@ def test_only_what_was_drawn_is_ever_replaced_or_removed(tmp_path, monkeypatch):
     assert not (folder / "pressure_map_0.png").is_symlink()
     assert written.is_whole(folder)
     # of what was drawn before, only what is as it was drawn goes
-    (folder / "pressure_map_3.png").write_text("retouched")
-    again = write_figures(
-        with_failures(dataset, single(dataset), np.random.default_rng(1)), tmp_path, study
-    )
-    assert again.messages == []
-    assert {p.name for p in drawn.paths} - {p.name for p in again.paths} == {
-        f"pressure_map_{k}.png" for k in (1, 2, 3)
-    }
-    assert [(folder / f"pressure_map_{k}.png").exists() for k in (1, 2, 3)] == [False, False, True]
+    fewer = with_failures(dataset, single(dataset), np.random.default_rng(1))
+    second = folder / "pressure_map_1.png"
+    for retouched in (False, True):
+        write_figures(dataset, tmp_path, study)
+        if retouched:
+            second.write_text("retouched")
+        again = write_figures(fewer, tmp_path, study)
+        assert again.messages == []
+        assert {p.name for p in drawn.paths} - {p.name for p in again.paths} == {second.name}
+        assert second.exists() == retouched
 
 
 def single(dataset) -> np.ndarray:

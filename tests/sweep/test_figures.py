@@ -16,7 +16,7 @@ from PIL import Image
 import demflow.sweep.figures as figures
 from demflow.model.region import contains
 from demflow.sweep.accessor import Results
-from demflow.sweep.analysis.cases import with_unit
+from demflow.sweep.analysis.cases import case_title, with_unit
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures import animation, representative_cases, write_figures
 from demflow.sweep.figures import maps as map_figures
@@ -50,14 +50,14 @@ def results(tmp_path, monkeypatch):
         study = study_of(text, tmp_path)
         dataset = invented_dataset(study)
 
-        def open_case(folder, **at):
+        def case_of(folder, at, **_):
             index = [
                 int(np.flatnonzero(dataset[a.name].values == at[a.name])[0]) for a in study.axes
             ]
             assert folder == tmp_path
             return invented_maps(study, tuple(index), spacing=2.4)
 
-        monkeypatch.setattr(figures, "open_case", open_case)
+        monkeypatch.setattr(figures, "case_of", case_of)
         return study, dataset, tmp_path
 
     return make
@@ -78,13 +78,13 @@ def test_a_sweep_gets_its_pictures(results):
     paths = write_figures(dataset, folder, study).paths
     assert names(paths) == [
         "well_pressure_producer.png",
-        *(f"pressure_map_{k}.png" for k in range(4)),
+        *(f"pressure_map_{k}.png" for k in range(2)),
         "permeability.png",
     ]
     assert all(p.parent == folder / "figures" for p in paths)
     assert "36 cases" in caption(paths[0])
     assert "L = 0.1" in caption(paths[0])
-    assert "fracture angle 65°" in caption(paths[4])
+    assert "fracture angle 65°" in caption(paths[2])
     assert "does not change with rate" in caption(paths[-1])
 
 
@@ -135,8 +135,12 @@ def test_failed_cases_are_left_out(results):
     for name in ("well_pressure", "pressure_change", "pressure_derivative", "permeability"):
         dataset[name][0, 0] = np.nan
     paths = write_figures(dataset, folder, study).paths
-    assert "pressure_map_2.png" in names(paths)
-    assert "pressure_map_3.png" not in names(paths)
+    maps = [path for path in paths if path.stem.startswith("pressure_map")]
+    assert names(maps) == ["pressure_map_0.png", "pressure_map_1.png"]
+    corners = representative_cases(dataset)  # three are left, the outer two are drawn
+    assert len(corners) == 3
+    for path, index in zip(maps, (corners[0], corners[-1]), strict=True):
+        assert case_title(dataset, index) in caption(path)
     assert "32 cases" in caption(paths[0])
 
 

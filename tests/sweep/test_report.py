@@ -64,7 +64,7 @@ def made(tmp_path, monkeypatch):
         dataset = invented_dataset(study)
         change(dataset)
         monkeypatch.setattr(
-            figures, "open_case", lambda folder, **at: invented_maps(study, (0,) * len(at), 2.4)
+            figures, "case_of", lambda folder, at, **_: invented_maps(study, (0,) * len(at), 2.4)
         )
         paths = figures.write_figures(dataset, tmp_path, study).paths if draw else []
         path = write_report(dataset, tmp_path, study, paths)

@@ -44,7 +44,7 @@ def folder(tmp_path_factory):
 def maps(monkeypatch):
     seen = []
 
-    def case_maps(scene, products):
+    def case_maps(scene, products, **_):
         seen.append((scene, products))
         return dict(MAPS)
 
