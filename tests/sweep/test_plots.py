@@ -124,8 +124,8 @@ def test_a_deconvolved_record_lies_on_the_drawdown_that_made_it():
     np.testing.assert_allclose(change.get_ydata()[inner], expected, rtol=0.02)
     np.testing.assert_allclose(derivative.get_ydata()[inner], level.get_ydata()[0], rtol=0.1)
     assert "2×10⁻⁵" in panel.get_ylabel()
+    changing = build_up().assign(pressure_derivative=build_up()["pressure_change"])
     with pytest.raises(ResultsError, match="rate of p is not one"):
-        changing = build_up().assign(pressure_derivative=build_up()["pressure_change"])
         changing.demflow.plot_deconvolution("p", times, pressure, RATES, panel, **told)
     with pytest.raises(ResultsError, match="above zero"):
         one.demflow.plot_deconvolution("p", times, pressure, RATES, panel, pressure_error=0.0)
