@@ -26,6 +26,7 @@ from demflow.model.products import (
     Moduli,
     Network,
     Packing,
+    PeriodicPermeability,
     Permeability,
     Responses,
     StrengthTest,
@@ -82,6 +83,7 @@ def observe(
     fractured: Fracturing | None = None,
     followed: Followed | None = None,
     bar: BarPermeability | None = None,
+    periodic: PeriodicPermeability | None = None,
     *,
     region: Region,
     controls: Controls,
@@ -107,6 +109,7 @@ def observe(
     consolidated : responses of a coupled rock, linear
     followed : what one did whose apertures followed its forces
     bar : permeability of the open network as a bar
+    periodic : that where the region repeats itself
     region : where the case lies, m
     controls : rates and pressures of the case in time
     wanted : names of what is observed
@@ -134,10 +137,12 @@ def observe(
     found |= _overlap(stress, tested)
     if moduli is not None:
         found |= _elastic(moduli)
-    if permeability is not None:
-        found["permeability"] = permeability.tensor
-    if bar is not None:
-        found["bar_permeability"] = bar.along
+    conducts: dict[str, tuple[np.ndarray] | None] = {
+        "permeability": permeability,
+        "bar_permeability": bar,
+        "periodic_permeability": periodic,
+    }
+    found |= {name: one[0] for name, one in conducts.items() if one is not None}
     if traces is not None:
         found |= _described(traces)
     history, strained = _coupled(

@@ -1,10 +1,17 @@
-"""Permeability tensor of a network, from two steady solves."""
+"""Permeability of a network under three kinds of conditions along its rim, by steady solves.
+
+A linear pressure along the whole rim gives the largest of the three, sealed sides the smallest
+where the bar lies along an axis of the rock, and a rim at which the rock repeats itself lies
+between: on even rock they agree, on fractured rock they differ by factors.
+"""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from demflow.model.flow.linear.factor import analyse, factorise, solve
 from demflow.model.network.apertures import uniform
@@ -12,9 +19,18 @@ from demflow.model.network.connectivity import reached
 from demflow.model.network.domains import cut_pipes, cut_places
 from demflow.model.network.fractures.subdivide import cuts_of, subdivide
 from demflow.model.outcome import ModelError
-from demflow.model.products import Apertures, BarPermeability, Network, Permeability
+from demflow.model.products import (
+    Apertures,
+    BarPermeability,
+    Network,
+    PeriodicPermeability,
+    Permeability,
+)
 from demflow.model.region import Rectangle, contains
 
+LEFT, RIGHT, BOTTOM, TOP = (
+    Rectangle(1.0, 1.0).sides.index(s) for s in ("left", "right", "bottom", "top")
+)
 OFF_WALLS = 3.0  # mean diameters from the walls where the permeability of the rock is measured
 
 
@@ -87,6 +103,82 @@ def bar_permeability(
             "aperture"
         )
     return np.asarray(found * (shape, 1.0 / shape))
+
+
+def periodic_permeability(
+    network: Network, apertures: Apertures, *, viscosity: float
+) -> np.ndarray:
+    """Permeability tensor (2, 2) in m² of rock that is endless copies of the region side by side.
+
+    The pressure falls by one pascal a metre from copy to copy and is else the same in each; what
+    leaves through a side comes in through the opposite one (Durlofsky 1991, Water Resour. Res. 27,
+    699–708). A packing does not fit to its own copy: each place where something leaves is joined to
+    the nearest one on the opposite side, and one without an opposite side is an end. So a fracture
+    that meets no other there goes on in the matrix only. k = μ D / A as in `permeability`, than
+    which it is never larger: the linear pressure is one of those among which this dissipates least.
+    For rectangles.
+
+    Raises `ModelError` where no pipe conducts.
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    viscosity : of the fluid, Pa s
+    """
+    network, apertures = _core(network, apertures)
+    joined = _joined(network, apertures, np.zeros(len(network.cut), dtype=bool))
+    _moved(joined, joined.side[:, 0] >= 0)  # refuses what does not conduct
+    number = _repeated(joined)
+    a, b, g = number[joined.a], number[joined.b], joined.g
+    fall = joined.place[joined.b] - joined.place[joined.a]  # of p = −x and p = −y
+    drop = fall + _periodic(a, b, g, fall)
+    dissipation = viscosity * (drop.T @ (g[:, None] * drop))
+    values, axes = np.linalg.eigh(_spanned(network))
+    scale = (axes / np.sqrt(values)) @ axes.T
+    tensor = scale @ dissipation @ scale
+    return np.asarray(0.5 * (tensor + tensor.T))
+
+
+def _repeated(joined: _Joined) -> np.ndarray:
+    """Numbers (n,) of the places, the same for those that are one when the region repeats."""
+    used = np.zeros(len(joined.place), dtype=bool)
+    used[joined.a] = used[joined.b] = True
+    pairs: list[np.ndarray] = []
+    for low, high, along in ((LEFT, RIGHT, 1), (BOTTOM, TOP, 0)):
+        both = [np.flatnonzero(used & (joined.side[:, 0] == side)) for side in (low, high)]
+        if not all(map(len, both)):
+            continue
+        for one, other in (both, both[::-1]):
+            order = other[np.argsort(joined.place[other, along])]
+            at = joined.place[order, along]
+            nearest = np.searchsorted(0.5 * (at[1:] + at[:-1]), joined.place[one, along])
+            pairs.append(np.column_stack([one, order[nearest]]))
+    i, j = np.concatenate(pairs).T if pairs else np.empty((2, 0), dtype=int)
+    shape = (len(used), len(used))
+    found: np.ndarray = connected_components(coo_array((np.ones(len(i)), (i, j)), shape))[1]
+    return found
+
+
+def _periodic(a: np.ndarray, b: np.ndarray, g: np.ndarray, fall: np.ndarray) -> np.ndarray:
+    """What a periodic pressure adds to the falls (e, 2) of connections so that all balance."""
+    n = int(max(a.max(), b.max())) + 1
+    part = connected_components(coo_array((g, (a, b)), (n, n)), directed=False)[1]
+    held = np.zeros(n, dtype=bool)
+    held[np.unique(part, return_index=True)[1]] = True  # each part has a level of its own
+    number = np.cumsum(~held) - 1
+    loads = np.zeros((n, fall.shape[1]))
+    np.add.at(loads, a, -g[:, None] * fall)
+    np.add.at(loads, b, g[:, None] * fall)
+    excess = np.zeros(n)
+    np.add.at(excess, a, np.where(held[b], g, 0.0))
+    np.add.at(excess, b, np.where(held[a], g, 0.0))
+    between = ~held[a] & ~held[b] & (a != b)
+    i, j = number[a[between]], number[b[between]]
+    p = np.zeros_like(loads)
+    factor = factorise(analyse(int((~held).sum()), i, j), g[between], excess[~held])
+    p[~held] = solve(factor, loads[~held])
+    return np.asarray(p[a] - p[b])
 
 
 class _Joined(NamedTuple):
@@ -265,3 +357,17 @@ def measure_bar(
     viscosity : of the fluid, Pa s
     """
     return BarPermeability(bar_permeability(network, apertures, region=region, viscosity=viscosity))
+
+
+def measure_periodic(
+    network: Network, apertures: Apertures, *, viscosity: float
+) -> PeriodicPermeability:
+    """Permeability of the open network where it repeats itself (the *measure_periodic* stage).
+
+    Parameters
+    ----------
+    network : pores and pipes of the matrix
+    apertures : how far they are open, and traces with nodes of their own
+    viscosity : of the fluid, Pa s
+    """
+    return PeriodicPermeability(periodic_permeability(network, apertures, viscosity=viscosity))

@@ -318,6 +318,12 @@ class BarPermeability(NamedTuple):
     along: Array  # (2,) m², along x and y
 
 
+class PeriodicPermeability(NamedTuple):
+    """Permeability of the region where it repeats itself endlessly."""
+
+    tensor: Array  # (2, 2) m²
+
+
 class FractureNetwork(NamedTuple):
     """What the network of the conducting traces is, by its geometry; ports are sides and wells."""
 

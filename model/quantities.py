@@ -102,6 +102,14 @@ CASE: dict[str, Quantity] = {
         comment="flow between the two sides across times viscosity and length, over their area and "
         "fall of pressure",
     ),
+    "periodic_permeability": Quantity(
+        "m2",
+        ("row", "column"),
+        "permeability tensor of endless copies of the region side by side",
+        ("periodic_permeability",),
+        comment="each place where something leaves is joined to the nearest on the opposite side; "
+        "never above permeability",
+    ),
     "boundary_flow": Quantity(
         "m3 s-1",
         ("boundary", "elapsed_time"),

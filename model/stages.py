@@ -37,6 +37,7 @@ from demflow.model.products import (
     Moduli,
     Network,
     Packing,
+    PeriodicPermeability,
     Permeability,
     Responses,
     StrengthTest,
@@ -469,6 +470,15 @@ STAGES: tuple[Stage, ...] = (
         product=BarPermeability,
     ),
     Stage(
+        name="measure_periodic",
+        function="demflow.model.permeability:measure_periodic",
+        version=1,
+        parents=("network", "open"),
+        reads={"viscosity": _viscosity},
+        wanted=lambda s: s.needs("measure_periodic"),
+        product=PeriodicPermeability,
+    ),
+    Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
         version=21,
@@ -629,7 +639,7 @@ STAGES: tuple[Stage, ...] = (
         parents=(
             *("pack", "stress", "strength", "network", "open"),
             *("measure", "flow", "reference", "fractures", "moduli", "consolidate"),
-            *("fracture", "follow", "measure_bar"),
+            *("fracture", "follow", "measure_bar", "measure_periodic"),
         ),
         reads={
             "region": lambda s: s.rock,

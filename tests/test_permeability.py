@@ -11,7 +11,12 @@ from demflow.model.analytic import lattice as closed_form
 from demflow.model.network.apertures import pipe_conductance, uniform
 from demflow.model.network.domains import network
 from demflow.model.outcome import ModelError
-from demflow.model.permeability import bar_permeability, permeability, unit_permeability
+from demflow.model.permeability import (
+    bar_permeability,
+    periodic_permeability,
+    permeability,
+    unit_permeability,
+)
 from demflow.model.region import Circle, Polygon, Rectangle
 from demflow.model.scene import Trace
 from tests.reservoirs import reservoir
@@ -252,3 +257,72 @@ def test_a_sealed_bar_has_no_permeability_to_measure():
     made = reservoir(square_lattice(1.0, R), box, 0.0, (through,))
     along = bar_permeability(made.network, made.apertures, region=box, viscosity=1e-3)
     assert along.tolist() == [pytest.approx(1e-12 / 12, rel=1e-12), 0.0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "box"), [("square", (0.9, 0.7)), ("hexagonal", (0.9, 0.4 * 3**0.5))]
+)
+def test_lattices_that_fit_to_themselves_have_their_closed_form(kind, box):
+    make, k, _ = LATTICES[kind]
+    net = network(make(1.2, R, (0.013, 0.021)), region=Rectangle(*box))
+    found = periodic_permeability(net, uniform(net, 1.0, 1.0), viscosity=1.0)
+    np.testing.assert_allclose(found / k, np.eye(2), atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_rock_that_repeats_has_the_permeability_of_its_torus(seed):
+    """Against a dense solve on a lattice that is closed to a ring both ways, any conductances."""
+    size = np.array([0.9, 0.7])
+    net = network(square_lattice(1.2, R, (0.013, 0.021)), region=Rectangle(*size))
+    step = np.round(size / (2 * R)).astype(int)
+    cell = np.floor(np.column_stack([net.x, net.y]) / (2 * R) + 1e-6).astype(int)
+    number = np.ravel_multi_index((cell % step).T, step)
+    i, j = net.pipe_from, net.pipe_to
+    across = cell[i, 0] != cell[j, 0]  # a pipe along x
+    first = np.where((cell[i] < cell[j]).any(axis=1), number[i], number[j])
+    factor = 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, (2, step.prod()))
+    opened = scaled(net, factor[np.where(across, 0, 1), first])
+    found = periodic_permeability(net, opened, viscosity=1.0)
+
+    g = pipe_conductance(np.array([1.0]), np.array([2 * R]), 1.0)[0] * factor
+    nodes = np.arange(step.prod()).reshape(step)
+    ends = [np.roll(nodes, -1, axis).ravel() for axis in range(2)]
+    matrix, load = np.zeros((step.prod(),) * 2), np.zeros((step.prod(), 2))
+    for axis, other in enumerate(ends):
+        for a, b, size_of in zip(nodes.ravel(), other, g[axis], strict=True):
+            matrix[[a, b], [a, b]] += size_of
+            matrix[[a, b], [b, a]] -= size_of
+            load[[a, b], axis] += np.array([-1.0, 1.0]) * size_of * 2 * R
+    p = np.linalg.lstsq(matrix, load, rcond=None)[0]
+    exact = np.zeros((2, 2))
+    for axis, other in enumerate(ends):
+        drop = p - p[other] + 2 * R * np.eye(2)[axis]
+        exact += drop.T @ (g[axis][:, None] * drop)
+    np.testing.assert_allclose(found, exact / size.prod(), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_periodic_rim_is_never_more_permeable_than_a_linear_one(seed):
+    traces = TRACES if seed % 2 else ()
+    rock = reservoir(random_graph(1.3, 700, seed), Rectangle(1.9, 1.6), 2e-5, traces)
+    linear = permeability(rock.network, rock.apertures, viscosity=1e-3)
+    found = periodic_permeability(rock.network, rock.apertures, viscosity=1e-3)
+    assert found[0, 1] == found[1, 0]
+    assert np.linalg.eigvalsh(found).min() > 0.0
+    assert np.linalg.eigvalsh(linear - found).min() > -1e-12 * linear.max()
+    if not traces:
+        np.testing.assert_allclose(found, linear, atol=0.05 * linear.max())
+
+
+def test_a_fracture_that_meets_its_copy_carries_on_and_another_does_not():
+    box = Rectangle(1.6, 1.0)
+    along = []
+    for rise in (0.0, 0.15):
+        trace = Trace(name="t", aperture=1e-4, start=(-1.5, 0.02 - rise), end=(1.5, 0.02 + rise))
+        made = reservoir(random_graph(1.2, 500, 4), box, 1e-8, (trace,))
+        along.append(periodic_permeability(made.network, made.apertures, viscosity=1e-3)[0, 0])
+    assert along[0] == pytest.approx(1e-12 / 12, rel=1e-6)
+    assert along[1] < 1e-3 * along[0]
+    sealed = reservoir(square_lattice(1.0, R), box, 0.0)
+    with pytest.raises(ModelError, match="no conducting pipe reaches the rim"):
+        periodic_permeability(sealed.network, sealed.apertures, viscosity=1e-3)

@@ -321,6 +321,7 @@ def test_only_flow_outputs_need_flow():
         without = (
             "permeability",
             "bar_permeability",
+            "periodic_permeability",
             "grain_map",
             "fracture_network",
             *MEASURED_BY_A_TEST,

@@ -198,6 +198,7 @@ READS = {
     "walk": {"region", "fractures"},
     "open": {"region", "matrix", "fractures", "joint", "viscosity"},
     "measure_bar": {"region", "viscosity"},
+    "measure_periodic": {"viscosity"},
     "measure": {"viscosity"},
     # of the pressures it knows only whether the boundary differs from the start
     "flow": {"region", "bulk_modulus", "well.radius", "times", "solver", "probes", "observe"}

@@ -48,6 +48,7 @@ OBSERVABLES: dict[str, tuple[str, ...]] = {
     "well_pressure": (*_PORES, "flow"),
     "permeability": (*_PORES, "measure"),
     "bar_permeability": (*_PORES, "measure_bar"),
+    "periodic_permeability": (*_PORES, "measure_periodic"),
     "pressure_map": (*_PORES, "flow"),
     "boundary_flow": (*_PORES, "flow"),
     "boundary_pressure": (*_PORES, "flow"),
@@ -352,10 +353,12 @@ class Scene:
         if self.tests and self.test is None:
             what = "moduli, strength and cracks are measured by a test; describe it, for instance "
             yield "test", what + "{kind: biaxial, confining_stress: 1 MPa}"
-        bar = self.needs("measure_bar")
-        if bar and (self.coupled or not isinstance(self.rock, Rectangle)):
-            what = "bar_permeability is that of a bar, a rectangle without holes or coupling"
-            yield "observe", f"{what}; take permeability elsewhere"
+        for name, of_a in (("bar", "that of a bar"), ("periodic", "of a region that repeats")):
+            if self.needs(f"measure_{name}") and (
+                self.coupled or not isinstance(self.rock, Rectangle)
+            ):
+                what = f"{name}_permeability is {of_a}, a rectangle without holes or coupling"
+                yield "observe", f"{what}; take permeability elsewhere"
         if "energy" in self.observe and self.test is not None and self.test.kind == "tension":
             yield "observe", "energy is counted in biaxial tests, where walls put it in"
         if self.needs("moduli"):
