@@ -12,7 +12,7 @@ from tests.scenes import random_scene
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module", params=[11, 12, 29])
+@pytest.fixture(scope="module", params=[11, 12, 29, 59])
 def summed(request):
     """Wells, schedules, storage and fractures; pressures of sources a thousand times apart."""
     return Case(random_scene(request.param))

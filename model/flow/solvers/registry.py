@@ -395,19 +395,17 @@ def _steps(
     wells: tuple[Site, ...], sides: int, initial: str, decades: tuple[int, ...] | None
 ) -> Steps:
     """What is known of the steps of every source."""
-    held = sides + sum(well.fixed_pressure for well in wells)
     changes = [np.array(well.change_times) for well in wells if not well.fixed_pressure]
     fields = 2 if initial == "gradient" else 0
-    kept = [1 + len(well.change_times) for well in wells if well.fixed_pressure]
-    held_steps, never = np.concatenate([np.ones(sides), kept]), np.full(held, np.inf)
-    size = np.ones(held + len(changes) + fields)
+    kept = [np.unique((0.0, *well.change_times)) for well in wells if well.fixed_pressure]
+    each = [*[np.zeros(1)] * sides, *kept, *changes, *[np.zeros(1)] * fields]
+    size = np.ones(len(each))
     if decades is not None:
         size = 10.0 ** np.asarray(decades, dtype=float)
-    shortest = [np.diff(times).min(initial=np.inf) for times in changes]
     return Steps(
         size,
-        np.concatenate([held_steps, [max(1, len(times)) for times in changes], np.ones(fields)]),
-        np.concatenate([never, shortest, np.full(fields, np.inf)]),
+        np.array([max(1.0, len(times)) for times in each]),
+        np.array([np.diff(times).min(initial=np.inf) for times in each]),
     )
 
 

@@ -66,12 +66,47 @@ def _share(problem: Problem, rough: Answer) -> Share:
     part = np.abs(rough.output) * steps.size[:, None, None]  # (sources, l, o)
     part[~problem.active] = 0.0
     part[:, problem.lag == 0.0] = 0.0  # what a step lets in at once is not recorded
-    field = np.abs(rough.pressure).max(axis=(1, 2), initial=0.0) * steps.size
+    field = (
+        np.array(
+            [
+                pulse(problem.lag, rough.pressure[k], steps.number[k], steps.shortest[k]).max(
+                    initial=0.0
+                )
+                for k in range(len(part))
+            ]
+        )
+        * steps.size
+    )
     parts = steps.number[sources].sum()
     slack = SLACK if len(sources) > 1 else 1.0
     unit = 1.0 / (parts * slack * steps.size)
     output = _sizes(problem, steps, part) * unit[:, None, None]
     return Share(output, field[problem.active].max(initial=0.0) * unit)
+
+
+def pulse(lag: np.ndarray, response: np.ndarray, number: float, shortest: float) -> np.ndarray:
+    """The most that a source certainly moves, (o,), if its steps may take each other back.
+
+    In closed rock the response to a rate rises for ever, while a well that was shut in has moved
+    only what its first hours did. Of all pulses that fit into a while, one moves at least the mean:
+    what the response has moved in that while over their number.
+
+    Parameters
+    ----------
+    lag : (l,) s
+    response : to one step, (l, o)
+    number : of the source's steps
+    shortest : time between two of them, s
+    """
+    if number <= 1:
+        return np.abs(response).max(axis=0, initial=0.0)
+    before = np.searchsorted(lag, 0.5 * lag, side="right") - 1
+    span = lag - np.where(before < 0, 0.0, lag[before])
+    since = np.where((before < 0)[:, None], 0.0, response[before])
+    part = np.minimum(1.0, shortest / np.where(span > 0.0, span, np.inf))
+    least = np.abs(response - since) * part[:, None]
+    first = np.abs(response[lag <= shortest])
+    return np.max(np.concatenate([least, first]), axis=0, initial=0.0)
 
 
 def _sizes(problem: Problem, steps: Steps, part: np.ndarray) -> np.ndarray:
@@ -82,7 +117,9 @@ def _sizes(problem: Problem, steps: Steps, part: np.ndarray) -> np.ndarray:
     pressure, flow = np.max(
         [steps.size[k] * np.array(problem.own_size(k)) for k in sources], axis=0
     )
-    largest = part.max(axis=(0, 1), initial=0.0)  # (o,)
+    largest = np.max(  # (o,)
+        [pulse(problem.lag, part[k], steps.number[k], steps.shortest[k]) for k in sources], axis=0
+    )
     for kind, least, faint in ((~is_flow, pressure, FAINT), (is_flow, flow, FAINT_FLOW)):
         floor = faint * np.max(largest[kind], initial=least)
         largest[kind] = np.maximum(largest[kind], floor)
