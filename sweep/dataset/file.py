@@ -175,14 +175,15 @@ def difference(path: Path, study: Study, plan_of: Callable[[], Plan]) -> str | N
     ----------
     path : of the dataset
     study : the study, read and checked
-    plan_of : gives all distinct stage runs of the study; called only where its text is another
-        than that of the dataset and its axes are the same
+    plan_of : gives all distinct stage runs of the study; called only where its text, or a file
+        that it names, is another than that of the dataset and its axes are the same
     """
     with netCDF4.Dataset(path) as file:
         known = {name: str(file.getncattr(name)) for name in file.ncattrs()}
         if known.get("study_smoke") != ("yes" if study.smoke else "no"):
             return f"it was made {'without' if study.smoke else 'with'} the smoke block"
-        if known.get("study_sha256") == study.sha256:
+        made_of = known.get("study_sha256"), known.get("study_files_sha256", "")
+        if made_of == (study.sha256, study.files_sha256):
             return None
         names = list(file["status"].dimensions)
         if names != [axis.name for axis in study.axes]:

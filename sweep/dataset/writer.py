@@ -177,6 +177,7 @@ class Writer:
             "study": study.name,
             "study_text": study.text,
             "study_sha256": study.sha256,
+            **({"study_files_sha256": told} if (told := study.files_sha256) else {}),
             "study_smoke": "yes" if study.smoke else "no",
             "seed": ", ".join(map(str, self.labels.seeds)),
             "demflow_digest": digest,

@@ -8,6 +8,7 @@ reason that could be seen here.
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import math
 import re
@@ -139,6 +140,12 @@ class Study:
             return self.promised[0] if self.promised else Expectation()
         number = next(number for number, axis in enumerate(self.axes) if axis.names)
         return self.promised[index[number]]
+
+    @property
+    def files_sha256(self) -> str:
+        """One hash of what the files hold that the study names; empty where it names none."""
+        each = sorted(hashlib.sha256(file.content).hexdigest() for file in self.files.values())
+        return hashlib.sha256(" ".join(each).encode()).hexdigest() if each else ""
 
     @property
     def shape(self) -> tuple[int, ...]:

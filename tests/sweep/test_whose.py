@@ -77,6 +77,20 @@ def test_a_dataset_that_is_known_by_its_study_needs_no_plan(tmp_path, monkeypatc
     assert len(made) == 2
 
 
+def test_a_changed_file_behind_a_study_makes_another_dataset(tmp_path):
+    path, results, rates = study(tmp_path), tmp_path / "results", tmp_path / "rates.csv"
+    path.write_text(path.read_text().replace("values: [1.0, 2.0, 3.0]", "file: rates.csv"))
+    rates.write_text("rate [m3/s]\n1\n2\n")
+    toys.run(path, results)
+    assert report(path, results).cases == 2
+    rates.write_text("rate [m3/s]\n1.0\n2.0\n")  # the same in other words
+    assert report(path, results).cases == 2
+    rates.write_text("rate [m3/s]\n1\n3\n")
+    with pytest.raises(ResultsError, match="values of rate"):
+        report(path, results)
+    assert report(results / "toy" / "study.yaml", results).cases == 2
+
+
 def test_drawing_imports_only_what_it_draws_with():
     code = (
         "import sys\n"
