@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
+    from demflow.sweep.analysis.fitting import Fit
+
 
 # of what a straight line says, where it is no pressure
 _UNITS = {
@@ -86,6 +88,101 @@ class Results:
         return found.rename("pressure_derivative").assign_attrs(
             units="Pa", long_name="Bourdet derivative", smoothing_window=smoothing
         )
+
+    def regimes(self, well: str, *, since: float = 0.0, until: float = np.inf) -> pd.DataFrame:
+        """Return the flow regimes of a well, a row for each stretch of each case that is done.
+
+        Beside the values of the axes: `regime`, `start` and `end` (s after `since`), `level`
+        (median derivative, Pa), and `confidence` from 0 to 1; see `sweep.analysis.regimes`.
+
+        Parameters
+        ----------
+        well : name of the well.
+        since, until : begin and end of the flow period, s.
+
+        Raises ResultsError where there is no such well.
+        """
+        import pandas as pd
+
+        from demflow.sweep.analysis.regimes import Regime, detect_regimes
+
+        change, slope = (self._variable(n) for n in ("pressure_change", "pressure_derivative"))
+        self._check_well(well)
+        times = np.asarray(self._dataset["elapsed_time"].values, dtype=float)
+        now = (times > since) & (times <= until)
+        rows = []
+        for index in done(self._dataset):
+            told = {axis: self._dataset[axis].values[at] for axis, at in index.items()}
+            case = [one.isel(index).sel(well=well).values[now] for one in (change, slope)]
+            rows += [told | one._asdict() for one in detect_regimes(times[now] - since, *case)]
+        columns = [*map(str, self._variable("status").dims), *Regime._fields]
+        return pd.DataFrame(rows, columns=columns).rename(columns={"name": "regime"})
+
+    def fit(
+        self,
+        well: str,
+        model: str,
+        free: Mapping[str, tuple[float, float]],
+        *,
+        viscosity: float,
+        compressibility: float,
+        well_radius: float,
+        known: Mapping[str, float] | None = None,
+        rates: Sequence[tuple[float, float]] | None = None,
+        **at: Any,
+    ) -> Fit:
+        """Fit a reservoir model to the computed pressure of a well of one case, as to a gauge's.
+
+        What an interpreter would read from the test: `found["permeability"].value`, its interval
+        from `.low` to `.high`, and whether the pressures determine it; all in SI.
+
+        Parameters
+        ----------
+        well : name of the well.
+        model : name of a reservoir model, as under `fit: {model: …}` of a study.
+        free : bounds of each parameter that is fitted.
+        viscosity : of the fluid, Pa s.
+        compressibility : total, 1/Pa.
+        well_radius : m.
+        known : values of other parameters of the model.
+        rates : (time in s, new rate in m³/s) of the well; without it the rate is one.
+        at : values of the study's axes that choose one case.
+
+        Raises ResultsError where that is not one case that is done, where the well or the model is
+        none or lacks a parameter, or the rate changes untold.
+        """
+        from demflow.sweep.analysis.reservoirs import fit_model
+
+        self._check_well(well)
+        case = self._dataset.isel(self._places(at))
+        if case["status"].size != 1 or case["status"].item() != Status.DONE:
+            raise ResultsError(
+                f"{case['status'].size} cases are chosen; a fit is of one that is done"
+            )
+        case = case.squeeze(list(case["status"].dims))
+        if rates is None:
+            self._check_rates(
+                self._variable("pressure_change").sel(well=[well]), "give its `rates`"
+            )
+        else:
+            self._check_told(well, rates)
+        of_well = case.sel(well=well)
+        p, fall, rate = (
+            np.asarray(of_well[name].values, dtype=float)
+            for name in ("well_pressure", "pressure_change", "well_rate")
+        )
+        seen = np.isfinite(p) & np.isfinite(fall)
+        changes = [(0.0, float(rate[-1]))] if rates is None else list(rates)
+        start = {"initial_pressure": float((p + np.sign(changes[0][1]) * fall)[seen][0])}
+        rock = Rock(float(of_well["porosity"]), viscosity, compressibility, well_radius)
+        times = np.asarray(case["elapsed_time"].values, dtype=float)[seen]
+        try:
+            bounds = {name: (float(low), float(high)) for name, (low, high) in free.items()}
+            return fit_model(
+                model, rock, (times, p[seen]), changes, bounds, start | dict(known or {})
+            )
+        except ValueError as error:
+            raise ResultsError(f"fit of {model}: {error}") from None
 
     def plot_well(
         self,

@@ -30,10 +30,12 @@ from demflow.model.analytic.fractures import (
 from demflow.model.analytic.laplace import Transform, invert
 from demflow.model.analytic.radial import bounded_transform, closed_transform, unbounded_transform
 from demflow.model.analytic.wellbore import with_storage_and_skin
-from demflow.sweep.study.reservoir import MODEL_PARAMETERS, Rock
+from demflow.sweep.analysis.fitting import Fit, Free, fit
+from demflow.sweep.study.reservoir import MODEL_PARAMETERS, PARAMETERS, Rock, parameters_of
 
 TABLED_S, TABLED_F_CD = (1e-9, 1e11), (1e-4, 1e7)  # of a fracture's responses
 PER_DECADE = 16  # times of the grid on which a response is inverted; the spline is off by 1e-6
+LEVEL = "initial_pressure"
 Rates = Sequence[tuple[float, float]]
 
 
@@ -245,3 +247,48 @@ class Superposed:
         fall = self._response.at(model, rock, values) * self._step
         total = np.bincount(self._row, fall, minlength=len(self.times))
         return values["initial_pressure"] + values["drift"] * self.times - total
+
+
+def fit_model(
+    name: str,
+    rock: Rock,
+    record: tuple[np.ndarray, np.ndarray],
+    rates: Rates,
+    free: Mapping[str, tuple[float, float]],
+    known: Values,
+    *,
+    profile: bool | None = None,
+) -> Fit:
+    """Fit a model to measured pressures.
+
+    Parameters
+    ----------
+    name : of the model, one of `MODELS`.
+    rock : what is known of rock and fluid
+    record : times, s, and pressures, Pa, (n,) each.
+    rates : (time, new rate) of the well, s and m³/s.
+    free : bounds of what is fitted, SI.
+    known : other parameters of the model, SI.
+    profile : intervals by profile likelihood, as for `fitting.fit`.
+
+    Raises
+    ------
+    ValueError : no such model, a parameter that it does not have, or one that lacks a value.
+    """
+    if name not in MODELS:
+        raise ValueError(f"there is no model {name}; there are {', '.join(MODELS)}")
+    own = parameters_of(name)
+    if strange := [key for key in (*free, *known) if key not in own]:
+        raise ValueError(f"{name} has no {strange[0]}; it has {', '.join(own)}")
+    fixed = {key: PARAMETERS[key].default for key in own} | dict(known)
+    if lacking := [key for key in own if key not in free and fixed[key] is None]:
+        raise ValueError(f"{', '.join(lacking)} must be fitted or known")
+    times, pressure = record
+    well, model = Superposed(times, rates), MODELS[name]
+
+    def predict(values: Values) -> np.ndarray:
+        told = {key: value for key, value in fixed.items() if value is not None}
+        return well.pressure(model, rock, {**told, **values})
+
+    bounds = [Free(key, *ends) for key, ends in free.items()]
+    return fit(predict, pressure, bounds, level=LEVEL, profile=profile)

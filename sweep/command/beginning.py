@@ -56,6 +56,25 @@ def _is_schema(file: Path, title: str) -> bool:
     return isinstance(found, dict) and found.get("title") == title
 
 
+def _meant(name: str, known: dict[str, Path]) -> str:
+    """The study with a word in its name, or else its title, where there is but one; else the name.
+
+    Raises ResultsError where there are several.
+    """
+    if name in known:
+        return name
+    word = name.casefold()
+    for said in (
+        [key for key in known if word in key.split("_")],
+        [key for key in known if word in re.findall(r"\w+", title_of(known[key]).casefold())],
+    ):
+        if len(said) > 1:
+            raise ResultsError(f"several studies are about '{name}': {', '.join(said)}; name one")
+        if said:
+            return said[0]
+    return name
+
+
 def begin(name: str, file: Path | None) -> list[Path]:
     """Copy a study that comes with the program, and the files that it names.
 
@@ -68,6 +87,7 @@ def begin(name: str, file: Path | None) -> list[Path]:
     from demflow.sweep.study.units import nearest
 
     known = examples()
+    name = _meant(name, known)
     if name not in known:
         like = nearest(name, known)
         hint = f"did you mean '{like}'?" if like else f"there are {', '.join(known)}"

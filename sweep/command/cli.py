@@ -158,7 +158,10 @@ def parser() -> argparse.ArgumentParser:
 
     beginning = add(new, takes_study=False)
     beginning.add_argument(
-        "name", metavar="NAME", nargs="?", help="of a study that comes with demflow"
+        "name",
+        metavar="NAME",
+        nargs="?",
+        help="of a study that comes with demflow, or a word of its name or title, as radial",
     )
     beginning.add_argument(
         "file", metavar="FILE", nargs="?", type=Path, help="what to write (NAME.yaml)"

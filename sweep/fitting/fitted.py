@@ -15,25 +15,22 @@ from demflow.sweep.analysis.breaks import clock_shift, find_breaks
 from demflow.sweep.analysis.fitting import (
     Estimate,
     Fit,
-    Free,
     by_likelihood,
     choice,
-    fit,
     shared_count,
     told_pairs,
 )
-from demflow.sweep.analysis.reservoirs import MODELS, Superposed
+from demflow.sweep.analysis.reservoirs import MODELS, Superposed, fit_model
 from demflow.sweep.dataset.folder import FITS, check_free
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.store.durable import write_durably
 from demflow.sweep.study.fits import Bounds, FitRequest
 from demflow.sweep.study.load import Study, load_study
 from demflow.sweep.study.measured import MeasuredTest
-from demflow.sweep.study.reservoir import PARAMETERS, parameters_of
+from demflow.sweep.study.reservoir import parameters_of
 
 NETWORK = "network"  # the name of the scene among the models
 MOST_SEARCHED = 20_000  # points of a record whose pressure is searched for changes of rate
-LEVEL = "initial_pressure"
 Tell = Callable[[str], None]
 
 
@@ -146,23 +143,18 @@ def _by_models(
         raise ResultsError(f"data.{test.name} has no rates, without which there is nothing to fit")
     rates = test.rate_changes
     try:
-        well = Superposed(test.time, rates)
+        Superposed(test.time, rates)
     except ValueError as error:
         raise ResultsError(f"data.{test.name}: {error}; see its rates") from None
-    fits = {}
+    fits, record = {}, (test.time, test.pressure)
     for name in request.models:
         own = parameters_of(name)
-        free = [Free(one.name, one.low, one.high) for one in request.free if one.name in own]
-        fixed = {key: PARAMETERS[key].default for key in own} | {
-            key: value for key, value in request.known.items() if key in own
-        }
-        model = MODELS[name]
-
-        def predict(values: dict[str, float], model: Any = model, fixed: Any = fixed) -> np.ndarray:
-            return well.pressure(model, request.rock, {**fixed, **values})
-
+        free = {one.name: (one.low, one.high) for one in request.free if one.name in own}
+        known = {key: value for key, value in request.known.items() if key in own}
         try:
-            fits[name] = fit(predict, test.pressure, free, level=LEVEL, profile=request.profile)
+            fits[name] = fit_model(
+                name, request.rock, record, rates, free, known, profile=request.profile
+            )
         except ValueError as error:
             raise ResultsError(f"fit of {name} to data.{test.name}: {error}") from None
     return test.time, test.pressure, rates, fits

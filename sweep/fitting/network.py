@@ -19,6 +19,7 @@ from demflow.model.parameters import SceneError
 from demflow.model.products import build, named
 from demflow.model.scene import Scene
 from demflow.sweep.analysis.fitting import Fit, Free, fit
+from demflow.sweep.analysis.reservoirs import LEVEL
 from demflow.sweep.analysis.thinning import thinned
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.plan.graph import Plan, make_plan, stage_table
@@ -34,7 +35,6 @@ from demflow.sweep.study.scenes import SceneBuilder
 
 POINTS = 150  # times of a trial; a longer record is thinned so that its derivative stays
 STEP = 2e-3  # of the Jacobian's differences: above what the solver's tolerance leaves
-LEVEL = "initial_pressure"
 
 
 class Trials:

@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 from demflow import sweep
 from demflow.model.outcome import Status
 from demflow.sweep.accessor import Results, compare
+from demflow.sweep.analysis.reservoirs import MODELS, Superposed
 from demflow.sweep.errors import ResultsError
+from demflow.sweep.study.reservoir import Rock
 
 
 def invented():
@@ -168,3 +170,55 @@ def test_studies_stand_side_by_side(tmp_path):
         compare(folders[0], folders[0])
     with pytest.raises(ResultsError, match="does not exist"):
         compare(tmp_path / "three")
+
+
+def test_regimes_are_a_row_for_each_stretch_of_each_good_case():
+    dataset = with_rates()
+    found = dataset.demflow.regimes("p")
+    assert list(found.columns) == ["rate", "regime", "start", "end", "level", "confidence"]
+    assert found["regime"].tolist() == ["radial", "radial"]
+    np.testing.assert_allclose(found["level"], [2.0, 5.0], rtol=1e-9)
+    assert found["rate"].tolist() == [1e-5, 2e-5]
+    later = dataset.demflow.regimes("p", since=30.0)
+    assert later["end"].max() == pytest.approx(970.0)
+    failed = dataset.assign(status=("rate", np.array([Status.DONE, Status.FAILED], dtype=np.int8)))
+    assert len(failed.demflow.regimes("p")) == 1
+    with pytest.raises(ResultsError, match="there is no well q"):
+        dataset.demflow.regimes("q")
+
+
+def test_a_computed_test_is_fitted_as_a_gauge_s():
+    rock = Rock(0.2, 1e-3, 1e-9, 0.1)
+    told = {"wellbore_storage": 1e-9, "drift": 0.0, "initial_pressure": 2e7}
+    dataset = with_rates().isel(elapsed_time=slice(1, None))
+    times = dataset["elapsed_time"].values
+    pressures = [
+        Superposed(times, ((0.0, rate),)).pressure(
+            MODELS["homogeneous"], rock, {**told, "permeability": k, "skin_factor": 3.0}
+        )
+        for rate, k in ((1e-5, 2e-14), (2e-5, 7e-14))
+    ]
+    pressure = xr.zeros_like(dataset["pressure_change"]) + np.array(pressures)[:, None]
+    dataset = dataset.assign(
+        porosity=("rate", [0.2, 0.2]), well_pressure=pressure, pressure_change=2e7 - pressure
+    )
+    options = {
+        "free": {"permeability": (1e-16, 1e-12), "skin_factor": (-3.0, 20.0)},
+        "known": {"wellbore_storage": 1e-9},
+        **{"viscosity": 1e-3, "compressibility": 1e-9, "well_radius": 0.1},
+    }
+    found = dataset.demflow.fit("p", "homogeneous", **options, rate=2e-5)
+    assert found["permeability"].value == pytest.approx(7e-14, rel=1e-4)
+    assert found["skin_factor"].value == pytest.approx(3.0, rel=1e-3)
+    first = dataset.isel(rate=[0]).demflow.fit("p", "homogeneous", **options)
+    assert first["permeability"].value == pytest.approx(2e-14, rel=1e-4)
+    for wrong, what in (
+        ({"model": "closed_box", "rate": 2e-5}, "there is no model closed_box"),
+        ({"rate": 3e-5}, "rate = 3e-05 is not there"),
+        ({}, "2 cases are chosen"),
+        ({"rate": 1e-5, "rates": [(0.0, 5e-5)]}, "rate"),
+        ({"model": "fault", "rate": 2e-5}, "distance must be fitted or known"),
+        ({"rate": 2e-5, "known": {"distance": 3.0}}, "homogeneous has no distance"),
+    ):
+        with pytest.raises(ResultsError, match=what):
+            dataset.demflow.fit("p", **({"model": "homogeneous"} | options | wrong))

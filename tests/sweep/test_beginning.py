@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+from pathlib import Path
 
 import jsonschema
 import pytest
@@ -93,3 +94,15 @@ def test_other_shells_know_every_command(capsys):
     told = capsys.readouterr().out
     for name in ("run", "check", "plan", "status", "report", "verify", "fit", "export"):
         assert f"        {name}) " in told
+
+
+@pytest.mark.parametrize(
+    ("word", "study"),
+    [("radial", "paper_radial"), ("fractured", "paper_fractured"), ("consolidation", "terzaghi")],
+)
+def test_a_word_of_its_name_or_title_is_enough(word, study, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", word]) == 0
+    assert Path(f"{study}.yaml").exists()
+    assert main(["new", "Pressure"]) == 2
+    assert "several studies are about 'Pressure'" in capsys.readouterr().err
