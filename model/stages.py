@@ -214,6 +214,11 @@ def _walled(scene: Scene) -> bool | None:
     return True if scene.coupled else None
 
 
+def _evened(scene: Scene) -> bool | None:
+    """True where graded grains are one rock; what opens between walls has grains' own lengths."""
+    return True if scene.grains.refine and not scene.coupled else None
+
+
 def _load_times(scene: Scene) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(time for time, _ in changes) for changes in scene.loads or ())
 
@@ -413,6 +418,7 @@ STAGES: tuple[Stage, ...] = (
         version=2,
         parents=("pack",),
         reads={"region": lambda s: s.rock, "walled": _walled},
+        options={"even": _evened},
         wanted=lambda s: s.porous,
         product=Network,
     ),

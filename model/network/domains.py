@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from demflow.model.mechanics.loading.ground import dug_out
 from demflow.model.network.connectivity import component_labels
 from demflow.model.network.enclosure import enclosed, hollowed
+from demflow.model.network.evening import evened
 from demflow.model.network.faces import (
     crossing_pairs,
     locate,
@@ -45,7 +46,9 @@ CUT_FLOOR = 0.02
 NARROWEST = 2.0
 
 
-def network(packing: Packing, *, region: Region, walled: bool | None = None) -> Network:
+def network(
+    packing: Packing, *, region: Region, walled: bool | None = None, even: bool | None = None
+) -> Network:
     """Build the pores and pipes of a packing, and cut them along the rim of the region.
 
     A domain is a bounded face of the graph of contacts; its pore volume is the area of
@@ -68,6 +71,7 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
     packing : grains at rest under the packing pressure
     region : where the case lies, m
     walled : whether pores at the walls of the packing count, and no rim cuts
+    even : whether graded grains are to be one rock everywhere (`evening`)
     """
     gone: list[np.ndarray] = []
     of_hole: list[int] = []
@@ -171,7 +175,7 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
         corner_start = np.append(corner_start, np.full(len(cut), corner_start[-1]))
     else:
         side, fraction = cut_places(region, cx, cy, cut_inside, cut_outside)
-    return Network(
+    found = Network(
         x=cx,
         y=cy,
         volume=volume,
@@ -198,6 +202,7 @@ def network(packing: Packing, *, region: Region, walled: bool | None = None) -> 
         slivers=np.asarray(sliver_count),
         crossing_edges=np.asarray(dropped),
     )
+    return evened(found) if even else found
 
 
 def faces_of_holes(

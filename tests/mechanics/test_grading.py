@@ -41,14 +41,36 @@ def test_it_packs_as_grains_of_one_size_do():
 
 
 def test_one_aperture_is_one_permeability_in_fine_grains_and_in_coarse():
-    """Measured where grains are four times finer, and in the whole."""
-    fine = Circle(0.25)
+    """Measured where grains are four times finer, and in the whole; porosities, too."""
+    whole = network(GRADED, region=DISC, even=True)
     moved = GRADED._replace(x=GRADED.x - 0.2, y=GRADED.y - 0.1)
-    whole = np.trace(unit_permeability(network(GRADED, region=DISC)))
-    part = np.trace(unit_permeability(network(moved, region=fine)))
-    assert part == pytest.approx(whole, rel=0.12)
+    fine = network(moved, region=Circle(0.25), even=True)
+    k = np.trace(unit_permeability(whole))
+    assert np.trace(unit_permeability(fine)) == pytest.approx(k, rel=0.03)
+    near = whole.inside & (np.hypot(whole.x - 0.2, whole.y - 0.1) < 0.25)
+    assert whole.volume[near].sum() == pytest.approx(
+        float(whole.porosity) * whole.area[near].sum(), rel=0.025
+    )
     unscaled = moved._replace(scale=np.empty(0))
-    assert np.trace(unit_permeability(network(unscaled, region=fine))) > 2.5 * part
+    assert np.trace(unit_permeability(network(unscaled, region=Circle(0.25)))) > 2.5 * k
+
+
+def test_a_lattice_is_even_as_it_is():
+    """All its pores conduct alike but for those at the edge of the packing."""
+    lattice = pack(
+        region=DISC,
+        count=900,
+        mean_radius=None,
+        packing="hexagonal",
+        radius_ratio=1.0,
+        porosity=None,
+        seed=1,
+    )
+    plain, evened = network(lattice, region=DISC), network(lattice, region=DISC, even=True)
+    middle = np.hypot(plain.x, plain.y) < 0.5
+    ends = middle[plain.pipe_from] & middle[plain.pipe_to]
+    ratio = (evened.pipe_length / plain.pipe_length)[ends]
+    np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
 
 
 @pytest.mark.parametrize("count", [200, 5000])
