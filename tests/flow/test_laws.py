@@ -7,10 +7,11 @@ the flow equation, so that nothing of geometry helps.
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -30,13 +31,15 @@ LAGS = np.geomspace(100.0, 3000.0, 5)  # in units of the explicit step
 TOLERANCE = 1e-8
 # what a solver may be off by, of the largest value; forward Euler is of first order
 SLACK = {"explicit": 2e-3, "implicit": 1e-7, "krylov": 1e-7, "steady": 1e-9}
-cases = given(seed=st.integers(0, 10**6), n=st.integers(3, 40), stores=st.booleans())
+# all laws see the same graphs, so that each is solved once for all of them
 few = settings(max_examples=15)
+cases = given(drawn=st.tuples(st.integers(0, 10**6), st.integers(3, 40), st.booleans()))
+same = seed(2)
 
 
-def graph(seed: int, n: int, stores: bool = False, held: int = 2) -> System:
+def graph(number: int, n: int, stores: bool = False, held: int = 2) -> System:
     """A connected graph of pores, `held` fixed pressures, and two wells, one of which may store."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(number)
     i = np.concatenate([np.arange(1, n), rng.integers(0, n, n)])
     j = np.concatenate([[rng.integers(0, k) for k in range(1, n)], rng.integers(0, n, n)])
     i, j = i[i != j], j[i != j]
@@ -89,16 +92,23 @@ def respond(method: str, system: System, lag: np.ndarray | None = None) -> Answe
     )
 
 
+@cache
+def answered(method: str, drawn: tuple[int, int, bool]) -> Answer:
+    """Step responses of the graph that was drawn."""
+    return respond(method, graph(*drawn))
+
+
 def largest(values: np.ndarray) -> np.ndarray:
     """Largest magnitude for each source."""
     return np.abs(values).max(axis=(1, 2), keepdims=True)
 
 
 @every
+@same
 @cases
 @few
-def test_no_pressure_leaves_the_range_of_what_drives_it(method, seed, n, stores):
-    found = respond(method, graph(seed, n, stores))
+def test_no_pressure_leaves_the_range_of_what_drives_it(method, drawn):
+    found = answered(method, drawn)
     slack = 1e-12 if method == "explicit" else SLACK[method]
     assert found.pressure[:2].min() >= -slack
     assert found.pressure[:2].sum(axis=0).max() <= 1 + 2 * slack
@@ -106,11 +116,11 @@ def test_no_pressure_leaves_the_range_of_what_drives_it(method, seed, n, stores)
 
 
 @every
+@same
 @cases
 @few
-def test_pressures_come_to_their_steady_state_from_one_side(method, seed, n, stores):
-    system = graph(seed, n, stores)
-    found, rest = respond(method, system), respond("steady", system)
+def test_pressures_come_to_their_steady_state_from_one_side(method, drawn):
+    found, rest = answered(method, drawn), answered("steady", drawn)
     scale = largest(rest.pressure)
     way = np.abs(found.pressure) / scale
     assert np.all(np.diff(way, axis=1) >= -SLACK["krylov"])
@@ -118,10 +128,11 @@ def test_pressures_come_to_their_steady_state_from_one_side(method, seed, n, sto
 
 
 @every
+@same
 @cases
 @few
-def test_observer_and_well_may_be_swapped(method, seed, n, stores):
-    found = respond(method, graph(seed, n, stores))
+def test_observer_and_well_may_be_swapped(method, drawn):
+    found = answered(method, drawn)
     scale = np.abs(found.output[2, :, 0]).max()
     np.testing.assert_allclose(
         found.output[2, :, 1], found.output[3, :, 0], atol=SLACK["krylov"] * scale
@@ -132,12 +143,13 @@ def test_observer_and_well_may_be_swapped(method, seed, n, stores):
 
 
 @every
+@same
 @cases
 @few
-def test_numbers_of_domains_do_not_matter(method, seed, n, stores):
-    system = graph(seed, n, stores)
-    place = np.append(np.random.default_rng(seed + 1).permutation(n), [n, n + 1])
-    order = np.random.default_rng(seed + 2).permutation(len(system.edge_i))
+def test_numbers_of_domains_do_not_matter(method, drawn):
+    system, n = graph(*drawn), drawn[1]
+    place = np.append(np.random.default_rng(drawn[0] + 1).permutation(n), [n, n + 1])
+    order = np.random.default_rng(drawn[0] + 2).permutation(len(system.edge_i))
     storage = np.empty(n + 2)
     storage[place] = system.storage
     other = system._replace(
@@ -148,7 +160,7 @@ def test_numbers_of_domains_do_not_matter(method, seed, n, stores):
         fixed_node=place[system.fixed_node],
     )
     lag = LAGS * step_limit(system)
-    one, two = respond(method, system, lag), respond(method, other, lag)
+    one, two = answered(method, drawn), respond(method, other, lag)
     np.testing.assert_allclose(
         two.pressure[:, :, place[:n]] / largest(one.pressure),
         one.pressure / largest(one.pressure),
@@ -157,17 +169,18 @@ def test_numbers_of_domains_do_not_matter(method, seed, n, stores):
 
 
 @every
+@same
 @cases
 @few
-def test_time_and_pressure_scale_with_storage_and_conductance(method, seed, n, stores):
+def test_time_and_pressure_scale_with_storage_and_conductance(method, drawn):
     """C ↦ a C, G ↦ b G: the same at times a/b, rates' pressures over b (compressibility, 1/μ)."""
-    system = graph(seed, n, stores)
+    system = graph(*drawn)
     a, b = 7.0, 0.03
     other = system._replace(
         storage=a * system.storage, edge_g=b * system.edge_g, fixed_g=b * system.fixed_g
     )
     lag = LAGS * step_limit(system)
-    one, two = respond(method, system, lag), respond(method, other, lag * a / b)
+    one, two = answered(method, drawn), respond(method, other, lag * a / b)
     scale = largest(one.pressure)
     np.testing.assert_allclose(two.pressure[:2], one.pressure[:2], atol=SLACK["krylov"])
     np.testing.assert_allclose(
@@ -176,16 +189,17 @@ def test_time_and_pressure_scale_with_storage_and_conductance(method, seed, n, s
 
 
 @every
+@same
 @cases
 @few
-def test_wells_at_one_place_add_their_rates(method, seed, n, stores):
+def test_wells_at_one_place_add_their_rates(method, drawn):
     """Superposition: a load is the sum of its parts, here a well's of the pores beside it.
 
     The second well stores nothing, so that a rate of it is a rate of its neighbours, shared by
     their conductances, and a fall of its own pressure.
     """
-    system = graph(seed, n, stores)
-    found = respond(method, system)
+    system, n = graph(*drawn), drawn[1]
+    found = answered(method, drawn)
     at_well = system.edge_i == n + 1
     g, beside = system.edge_g[at_well], system.edge_j[at_well]
     pressure = found.pressure[:, :, beside] @ g / g.sum()
@@ -197,12 +211,13 @@ def test_wells_at_one_place_add_their_rates(method, seed, n, stores):
 
 
 @transient
+@same
 @cases
 @few
-def test_agrees_with_the_matrix_exponential(method, seed, n, stores):
+def test_agrees_with_the_matrix_exponential(method, drawn):
     """p = (1 − e^(−C⁻¹G t)) G⁻¹f, by scipy's dense expm of the pores without the wells."""
-    system = graph(seed, n, stores)
-    found = respond(method, system)
+    system, n = graph(*drawn), drawn[1]
+    found = answered(method, drawn)
     matrix, storage = dense_matrices(system)
     m = system.pores
     shut = np.linalg.inv(matrix[m:, m:])

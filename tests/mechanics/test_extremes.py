@@ -249,7 +249,7 @@ def test_grains_that_pass_through_one_another_are_told(modulus, ends, cement):
     """At 5 MPa: a few thousandths of a radius, a third of one, more than a whole one."""
     scene = Scene(
         region=Rectangle(1.0, 1.0),
-        grains=Grains(count=120, porosity=0.17, modulus=modulus, stiffness_ratio=2.5),
+        grains=Grains(count=30, porosity=0.17, modulus=modulus, stiffness_ratio=2.5),
         bonds=cement,
         stress=Stress(5e6, 5e6),
         observe=("force_chains",),

@@ -17,7 +17,7 @@ from tests.mechanics.rocks import net_forces, packed
 pytestmark = pytest.mark.slow
 
 KN = 40e9
-FAR = 1e3 * np.array([-1.0, 1.0, -1.0, 1.0])
+FAR = 150.0 * np.array([-1.0, 1.0, -1.0, 1.0])
 STRONG = Bonds(kind="parallel", tensile_strength=1e15, shear_strength=1e15)
 PLANE = Joint(normal_stiffness=KN, shear_stiffness=KN, friction=np.tan(np.radians(30.0)))
 

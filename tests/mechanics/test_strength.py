@@ -49,7 +49,7 @@ def to_failure(rock, cement, friction: float = 0.5, **test) -> StrengthTest:
 
 @pytest.fixture(scope="module")
 def rock():
-    return packed(0.165, count=400)
+    return packed(0.165, count=200)
 
 
 @pytest.mark.parametrize("confinement", ["walls", "membrane"])
@@ -244,10 +244,10 @@ def test_grains_that_do_not_bear_the_confining_stress_are_told(monkeypatch) -> N
     """With too few steps nothing is at rest, and no half-loaded specimen is tested."""
     monkeypatch.setattr("demflow.model.mechanics.loading.strength.HOLDING", 10)
     with pytest.raises(ModelError, match="does not hold the confining stress of 1e"):
-        to_failure(packed(0.165, count=400), bonds(), confining_stress=10e6)
+        to_failure(packed(0.165, count=200), bonds(), confining_stress=10e6)
     monkeypatch.setattr("demflow.model.mechanics.loading.strength.RELIEVING", 10)
     with pytest.raises(ModelError, match="relieved"):
-        to_failure(packed(0.165, count=400), bonds(), confining_stress=10e6)
+        to_failure(packed(0.165, count=200), bonds(), confining_stress=10e6)
 
 
 def test_cemented_joints_count_as_they_break(rock) -> None:
@@ -292,7 +292,7 @@ def test_strength_follows_the_bonds(rock, kind: str) -> None:
 
 
 def test_unbonded_grains_have_a_frictional_strength() -> None:
-    found = to_failure(packed(0.165, count=400), None, confining_stress=20e6)
+    found = to_failure(packed(0.165, count=200), None, confining_stress=20e6)
     assert 1.5 * 20e6 < float(found.peak_strength) < 6 * 20e6
     assert int(found.crack_count) == 0
 
