@@ -9,8 +9,7 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 
@@ -50,15 +49,6 @@ class Compilation:
             self.seconds += seconds
             self.cpu_seconds += time.process_time() - self._cpu
             self._tell(seconds)
-
-    @contextmanager
-    def under_way(self) -> Iterator[None]:
-        """Count what runs inside as compilation."""
-        self.start()
-        try:
-            yield
-        finally:
-            self.end()
 
     def _tell(self, seconds: float | None) -> None:
         if self.listener is not None:

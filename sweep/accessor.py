@@ -616,6 +616,19 @@ class Results:
         """Return principal permeabilities, direction and anisotropy of each case."""
         return principal_permeability(self._variable("permeability"))
 
+    def radial_permeability(self, viscosity: xr.DataArray | float) -> xr.DataArray:
+        """Permeability that each well's first flow period shows in radial flow, m²; NaN where none.
+
+        Parameters
+        ----------
+        viscosity : of the fluid, Pa s; one number or an array over the axes that vary it.
+        """
+        from demflow.sweep.analysis.regimes import fitted_permeability
+
+        for name in ("pressure_change", "pressure_derivative", "well_rate"):
+            self._variable(name)  # or it is told which is missing
+        return fitted_permeability(self._dataset, viscosity)
+
     def sensitivity(self, of: str | xr.DataArray, **options: Any) -> xr.Dataset:
         """Return how much each sampled parameter decides a result, see `sweep.sensitivity`."""
         return sensitivity(self._dataset, of, **options)

@@ -18,11 +18,12 @@ from demflow.model.analytic.wells import closed_circle_pseudo_steady
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import BiWing, Fluid, Grains, Matrix, Scene, Well
 from demflow.model.transient import bourdet_derivative
+from demflow.sweep.accessor import Results
 from demflow.sweep.analysis import cases, compare
 from demflow.sweep.analysis.linear_flow import compare_linear, linear_tables
 from demflow.sweep.analysis.permeability import ensemble, principal_permeability
 from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
-from demflow.sweep.analysis.regimes import detect_regimes, fit_permeability, fitted_permeability
+from demflow.sweep.analysis.regimes import detect_regimes, fit_permeability
 from demflow.sweep.analysis.reservoirs import MODELS, unit_response
 from demflow.sweep.study.reservoir import PARAMETERS, Rock, parameters_of
 
@@ -145,11 +146,13 @@ def test_permeability_of_a_dataset_uses_the_first_flow_period():
         },
         {"elapsed_time": t, "well": ["producer"]},
     )
-    fitted = fitted_permeability(dataset, mu)
+    fitted = Results(dataset).radial_permeability(mu)
     assert fitted.dims == ("aperture", "well")
     np.testing.assert_allclose(fitted[:, 0], k, rtol=2e-3)
     dataset["well_rate"][0, 0, 0] = 0.0  # did not flow from the start
-    np.testing.assert_array_equal(np.isnan(fitted_permeability(dataset, mu)[:, 0]), [True, False])
+    np.testing.assert_array_equal(
+        np.isnan(Results(dataset).radial_permeability(mu)[:, 0]), [True, False]
+    )
 
 
 def test_principal_values_turn_with_the_tensor():

@@ -81,8 +81,11 @@ def flow(  # noqa: C901 (as many ways to end as there are)
         foresee("a toy", 1e8)
     if rate in (COMPILES, COMPILES_AND_HANGS):
         for _ in range(2):
-            with compilation.under_way(), compilation.under_way():
-                time.sleep(COMPILING_SECONDS)
+            for _ in range(2):  # one within the other
+                compilation.start()
+            time.sleep(COMPILING_SECONDS)
+            for _ in range(2):
+                compilation.end()
         if rate == COMPILES_AND_HANGS:
             time.sleep(3600)
     if rate in (ANSWERS_SLOWLY, DIES_ANSWERING):
