@@ -9,6 +9,7 @@ import shutil
 import tempfile
 from pathlib import Path
 
+import pytest
 from hypothesis import settings
 
 from tests import cache
@@ -19,3 +20,12 @@ settings.load_profile("reproducible")
 _notes = Path(tempfile.mkdtemp(prefix="demflow-tests-"))
 atexit.register(shutil.rmtree, _notes, ignore_errors=True)
 os.environ.update(cache.variables(_notes))
+
+
+@pytest.fixture(scope="module")
+def one_worker():
+    """All runs of a module go to one worker process that stands for as long as the tests do."""
+    from tests import standing  # with all of Dask
+
+    with standing.one_worker():
+        yield

@@ -21,7 +21,7 @@ from demflow.sweep.execution.progress import Progress
 from demflow.sweep.store.lock import FolderLock
 from tests.sweep import toy_stages, toys
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_worker")]
 
 
 @pytest.fixture(scope="module")

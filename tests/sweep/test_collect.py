@@ -26,7 +26,7 @@ from demflow.sweep.dataset.tiles import tiles
 from demflow.sweep.prepared import prepare
 from tests.sweep import toy_stages, toys
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_worker")]
 
 
 @given(st.lists(st.integers(1, 6), max_size=4).map(tuple), st.integers(1, 50))

@@ -145,6 +145,7 @@ def test_two_rocks_are_two_families():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_a_study_of_a_family_gives_what_its_cases_give(tmp_path, monkeypatch):
     """Within the tolerance of what each case gives by itself; cases open, and run once."""
     monkeypatch.setattr(families, "LEAST", 8)

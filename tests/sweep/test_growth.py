@@ -24,7 +24,7 @@ from demflow.sweep.study.scenes import SceneBuilder
 from tests.sweep import toys
 from tests.sweep.study_text import EXAMPLE
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_worker")]
 
 STAGES = stage_table()
 

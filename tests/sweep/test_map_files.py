@@ -235,6 +235,8 @@ def test_faults_of_the_map_are_told_at_its_file(study):
     assert "fractures.outcrop.file: features 2 and 4 lie on each other" in str(caught.value)
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_results_stay_readable_without_the_map(study, tmp_path):
     dataset = sweep.run(study, workers=1, results=tmp_path / "results")
     assert np.all(dataset["status"].values == 0)

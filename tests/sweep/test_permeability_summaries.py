@@ -49,6 +49,7 @@ def test_members_without_a_result_are_left_out():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_the_dataset_has_them_along_the_right_axes(tmp_path):
     path = tmp_path / "study.yaml"
     path.write_text(STUDY)

@@ -18,7 +18,7 @@ from demflow.sweep.report.html import grid
 from demflow.sweep.study.yaml_source import StudyError
 from tests.sweep.invented import RADIAL, SWEEP, invented_dataset, invented_maps, study_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_worker")]
 
 
 class Page(HTMLParser):

@@ -141,6 +141,7 @@ def test_a_longer_sample_runs_only_what_is_new(tmp_path, method):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_an_extended_study_computes_the_new_cases_alone(tmp_path, capsys):
     path, folder = tmp_path / "study.yaml", ["--results", str(tmp_path)]
     text = STUDY + "where: left < 3 MPa or opening > 10 um\n"

@@ -1,6 +1,7 @@
 """A steady study, from the command line to its figures: no time anywhere."""
 
 import numpy as np
+import pytest
 
 from demflow import sweep
 from demflow.sweep.command.cli import main
@@ -24,6 +25,8 @@ vary: {rate: {parameter: wells.producer.rate, values: [1e-6 m3/s, 1e-4 m3/s]}}
 """
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_a_steady_study_has_values_figures_and_a_report(tmp_path, capsys):
     path = tmp_path / "steady.yaml"
     path.write_text(STUDY)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import sys
 
 import pytest
@@ -17,16 +18,24 @@ from demflow.sweep.store.products import Store, StoreError
 from demflow.sweep.study.load import StudyError
 from tests.sweep import toy_stages, toys
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_worker")]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Two studies in one folder: they share a packing and the case of rate 1."""
+    folder = tmp_path_factory.mktemp("made")
+    first = toys.write_study(folder, name="first", seeds=(1,), stresses=(), rates=(1.0, 2.0))
+    second = toys.write_study(folder, name="second", seeds=(1,), stresses=(), rates=(1.0, 3.0))
+    for path in (first, second):
+        toys.run(path, folder / "results", workers=1)
+    return folder
 
 
 @pytest.fixture
-def results(tmp_path):
-    """Two studies in one folder: they share a packing and the case of rate 1."""
-    first = toys.write_study(tmp_path, name="first", seeds=(1,), stresses=(), rates=(1.0, 2.0))
-    second = toys.write_study(tmp_path, name="second", seeds=(1,), stresses=(), rates=(1.0, 3.0))
-    for path in (first, second):
-        toys.run(path, tmp_path / "results", workers=1)
+def results(made, tmp_path):
+    """A copy of them, for one test."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     return tmp_path / "results"
 
 

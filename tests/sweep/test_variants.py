@@ -154,6 +154,8 @@ def test_an_outcome_is_met_or_not():
     assert beyond_bounds(bound, {"time_error": np.nan})
 
 
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_a_study_whose_cases_fail_as_stated_is_good(tmp_path, capsys):
     """Exit status, dataset and report; and the same study without its words is not."""
     path = tmp_path / "study.yaml"

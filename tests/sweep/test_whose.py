@@ -16,7 +16,7 @@ from demflow.sweep.errors import ResultsError
 from demflow.sweep.store.products import StoreError
 from tests.sweep import toy_stages, toys
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("one_worker")]
 
 POOR = "tests.sweep.toy_stages:POOR"
 SMOKE = "smoke: {vary.rate: [1]}\n"
