@@ -143,6 +143,7 @@ def simple_ways(graph):
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_the_backbone_is_all_ways_between_different_ports(seed):
     """Not through a port: a way ends where it meets one other than its own."""

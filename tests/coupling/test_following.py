@@ -68,6 +68,7 @@ def test_steady_flow_falls_behind_by_the_rule(x):
     assert 0.3 < found["kept_conductance"][-1] < 1.0
 
 
+@pytest.mark.slow
 def test_where_no_force_closes_a_pipe_it_is_the_linear_rock():
     stiff = Matrix(aperture=2e-5, half_stress=1e15, gap_factor=0.0)
     wells = (Well(name="w", at=(0.1, 0.0), radius=0.02, schedule=((0.0, 1e-6), (5.0, 0.0))),

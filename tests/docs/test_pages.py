@@ -153,6 +153,7 @@ def test_every_variable_is_documented():
         assert not [name for name in table if f"| `{name}` |" not in page]
 
 
+@pytest.mark.slow
 def test_reference_pages_are_those_of_the_tables():
     """`make docs` writes them anew."""
     done = subprocess.run(

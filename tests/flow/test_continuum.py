@@ -118,6 +118,7 @@ def test_a_fracture_of_infinite_conductivity_follows_gringarten():
     np.testing.assert_allclose(fall(seen), infinite_conductivity_fracture(t_Dxf), rtol=0.03)
 
 
+@pytest.mark.slow
 def test_a_fracture_of_uniform_flux_follows_gringarten():
     """A row of wells of one rate, each in a pore that it leaves its storage and its pressure."""
     spacing, arm = 2 * RADIUS, 20

@@ -67,6 +67,7 @@ def run(asked, sides, rock=ROCK, region=REGION, method="krylov", tolerance=1e-7,
     return observe_flow(history, asked), superposed_map(responses, asked), responses
 
 
+@pytest.mark.slow
 @transient
 @pytest.mark.parametrize("sides", [("left",), ()])
 def test_a_linear_field_decays_as_the_eigen_solution_says(method, sides):

@@ -45,6 +45,7 @@ def answered(method, problem):
         return str(error)
 
 
+@pytest.mark.slow
 @every
 def test_a_tolerance_below_round_off_gives_numbers_or_an_error(method):
     found = answered(method, posed(method)._replace(tolerance=1e-16))
@@ -57,6 +58,7 @@ def test_a_tolerance_below_round_off_gives_numbers_or_an_error(method):
         assert found.time_error >= 1e-16
 
 
+@pytest.mark.slow
 @every
 def test_the_least_tolerance_is_kept_or_told(method):
     problem = posed(method)._replace(tolerance=LEAST_TOLERANCE)

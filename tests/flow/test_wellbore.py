@@ -38,6 +38,7 @@ def well(**more):
     return Well(name="w", **{"at": (0.0, 0.0), "radius": 0.12, "rate": 1.0, **more})
 
 
+@pytest.mark.slow
 @transient
 def test_agrees_with_a_dense_eigen_solution(method):
     """Wells that store stand between pores and wells that do not, in any order of the scene."""

@@ -7,6 +7,7 @@ from demflow.model.products import Packing
 from tests.peers.grain_forces import CASES, DATA, Forces, difference, forces_of
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_contact_forces_are_those_of_yade(name):
     """Kept by `tests/peers/grain_forces.py`; 0.02 to 0.6 % when it was."""

@@ -73,6 +73,7 @@ def joint_contacts(specimen: Specimen) -> dict[tuple[float, ...], tuple[float, .
     return dict(zip(map(tuple, places[acts]), map(tuple, held[acts]), strict=True))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [PLANE, CEMENT])
 @pytest.mark.parametrize("region", REGIONS)
 def test_a_cut_keeps_its_joints_and_its_balance(region, joint) -> None:
@@ -117,6 +118,7 @@ def test_an_excavation_leaves_the_joints_outside_it(joint) -> None:
     assert set(a[across] * n + b[across]) <= set(joints.a * n + joints.b)
 
 
+@pytest.mark.slow
 def test_a_borehole_is_found_anew_in_equilibrium_and_can_be_held_open() -> None:
     whole = pressed(BONDS)
     hole = Circle(4.0)

@@ -32,6 +32,7 @@ def loaded(**rock):
     return specimen, specimen.energies()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "rock",
     [

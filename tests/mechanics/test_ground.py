@@ -161,6 +161,7 @@ def test_a_pressure_like_the_rocks_own_hides_the_hole():
     assert three[1] > one[1] + 0.3
 
 
+@pytest.mark.slow
 def test_static_and_explicit_agree_on_a_hole():
     forces = []
     for method in ("static", "explicit"):
@@ -175,6 +176,7 @@ def test_static_and_explicit_agree_on_a_hole():
     assert np.linalg.norm(forces[1] - forces[0]) < 0.05 * np.linalg.norm(forces[0])
 
 
+@pytest.mark.slow
 def test_rims_beyond_their_strength_break_around_the_hole():
     weak = Bonds(kind="parallel", tensile_strength=25e6, shear_strength=25e6)
     stress = Stress(xx=40e6, yy=15e6)

@@ -13,6 +13,8 @@ from demflow.model.products import StrengthTest
 from demflow.model.region import Rectangle
 from demflow.model.scene import Bonds, FailureTest, Joint, JointLine
 
+pytestmark = pytest.mark.slow
+
 KN, CONFINING, FRICTION = 62e9, 10e6, 20.0
 BONDS = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)
 

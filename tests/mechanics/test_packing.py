@@ -35,6 +35,7 @@ def test_porosity_of_a_box_counts_cut_discs_by_their_part() -> None:
     assert porosity(x, y, radius, box) == pytest.approx(1.0 - inside.mean(), abs=2e-4)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wanted", [0.16, 0.165, 0.18, 0.2])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_wanted_porosity_is_met(wanted: float, seed: int) -> None:

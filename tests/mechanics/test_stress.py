@@ -136,6 +136,7 @@ def test_quarter_turn_turns_the_state() -> None:
     assert other.stress[0] == pytest.approx(state.stress[1], rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bonds", [None, CEMENT["parallel"]])
 def test_beyond_the_strength_is_an_error_that_says_how_far(bonds) -> None:
     with pytest.raises(ModelError) as caught:
@@ -147,6 +148,7 @@ def test_beyond_the_strength_is_an_error_that_says_how_far(bonds) -> None:
     assert 1.5 < ratio < 10.0
 
 
+@pytest.mark.slow
 def test_frictionless_grains_carry_pressure_but_no_difference() -> None:
     rock = packed()
     check(rock, loaded(rock, 10, 10, friction=0.0), 10, 10)

@@ -104,6 +104,7 @@ def test_traces_drawn_twice_or_side_by_side_carry_the_sum(shift):
     assert seen["boundary_flow"][0] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_ten_thousand_traces_all_have_their_place():
     """Each conducts, or is counted as idle because it is shorter than a pore and meets nothing."""
     rng = np.random.default_rng(1)

@@ -117,6 +117,7 @@ def test_inflow_into_a_round_hole_is_thiems():
     assert np.abs(ratio - 1.0).max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_outline_of_a_hole_is_what_counts_not_how_it_is_given():
     turn = np.arange(48) * (2.0 * np.pi / 48)
     fits = 2.0 / np.sqrt(np.sin(2.0 * np.pi / 48) / (2.0 * np.pi / 48))  # of equal area

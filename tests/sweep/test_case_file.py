@@ -103,6 +103,7 @@ def test_what_there_is_none_of_is_no_record_dimension(case, tmp_path):
         assert not any(dimension.isunlimited() for dimension in file.dimensions.values())
 
 
+@pytest.mark.slow
 def test_the_checker_of_cf_finds_nothing(case, tmp_path):
     case.to_netcdf(tmp_path / "case.nc")
     report = tmp_path / "report.json"

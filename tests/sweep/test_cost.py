@@ -151,6 +151,7 @@ def test_memory_of_workers_that_compiled_counts_until_others_were_seen():
     assert costs.memory(kind(1000)) == 300
 
 
+@pytest.mark.slow
 def test_what_is_known_is_told_as_a_lower_bound(tmp_path, capsys):
     rates = (1.0, 2.0)
     path = toys.write_study(tmp_path, seconds=0.02, seeds=(1,), stresses=(), rates=rates)
@@ -230,6 +231,7 @@ def test_a_radius_counts_as_about_the_grains_that_it_gives():
     assert grain_count(dataclasses.replace(SCENE, grains=by_radius)) == pytest.approx(500, rel=0.3)
 
 
+@pytest.mark.slow
 def test_a_forecast_after_a_few_runs_is_right_within_a_factor_of_two(tmp_path):
     """Ten cases measured; then forty, of which the plan tells what they will take."""
     results, seconds = tmp_path / "results", 0.02
@@ -255,6 +257,7 @@ def test_a_forecast_after_a_few_runs_is_right_within_a_factor_of_two(tmp_path):
     assert forecast(toys.prepared(many, results), 2)["bytes"] == 0
 
 
+@pytest.mark.slow
 def test_figures_and_report_count_as_they_took_the_last_time(tmp_path):
     """What the plan tells of more cases is that much longer; a run that draws nothing keeps it."""
     results = tmp_path / "results"

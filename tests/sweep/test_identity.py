@@ -41,6 +41,7 @@ def exactly(value: object) -> object:
     return (type(value).__name__, value)
 
 
+@pytest.mark.slow
 @given(plain, plain)
 def test_encodings_are_equal_exactly_where_values_are(a, b):
     assert (encode(a) == encode(b)) == (exactly(a) == exactly(b))

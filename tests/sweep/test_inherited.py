@@ -82,6 +82,7 @@ def test_what_is_kept_is_told_of_the_study_that_was_run(made, tmp_path):
     assert inherited(store, plan) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [{"version": 2}, {"reads": {"rate": lambda s: s.wells[0].rate}}])
 def test_what_is_kept_is_what_is_stored(tmp_path, monkeypatch, how):
     path, results, heard = toys.write_study(tmp_path), tmp_path / "results", []

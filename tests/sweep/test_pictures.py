@@ -137,6 +137,7 @@ def test_chains_lie_between_grains_and_are_as_wide_as_their_force(panel):
     assert len(pulled.get_segments()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("form", [Form(), Form("svg", "column"), Form("pdf", "page")])
 def test_same_data_give_the_same_bytes(tmp_path, form):
     dataset, maps = study(), traces(RNG.uniform(0, 180, 30), RNG.uniform(1, 5, 30))

@@ -52,6 +52,7 @@ def maps(monkeypatch):
     return seen
 
 
+@pytest.mark.slow
 def test_the_maps_of_one_case(folder, maps):
     case = open_toy(folder, stress_yy=10e6, rate=1, aperture=np.float64(0.25))
     scene, products = maps[0]
