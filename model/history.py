@@ -91,12 +91,7 @@ def marched(fractured: Fracturing, controls: Controls) -> History:
     # what is stored before anything enters is rounding, held against what moves later
     most = float((np.abs(kept.stored) + put_in).max(initial=0.0)) if np.any(put_in > 0.0) else 0.0
     moved = np.where(put_in > 0.0, np.abs(kept.stored) + put_in, most)
-    changes = change_times(sites(controls.wells))
-    before = np.full((len(controls.wells), len(changes)), np.nan)
-    before[:, 0] = controls.initial
-    known = np.searchsorted(changes, fractured.change_time)
-    if len(known):
-        before[:, known] = fractured.at_changes.T
+    changes, before = pressures_at_changes(fractured.at_changes, fractured.change_time, controls)
     return History(
         times=np.asarray(controls.times),
         well_pressure=rows["well_pressure"].reshape(t, -1).T,
@@ -125,6 +120,26 @@ def marched(fractured: Fracturing, controls: Controls) -> History:
         ),
         probe_place=fractured.probe_place,
     )
+
+
+def pressures_at_changes(
+    recorded: Array, recorded_time: Array, controls: Controls
+) -> tuple[Array, Array]:
+    """Times (c,) s at which rates change, and the wells' pressures (w, c) just before, if known.
+
+    Parameters
+    ----------
+    recorded : pressures of the wells that a march recorded, (k, w) Pa
+    recorded_time : when, (k,) s
+    controls : of the case
+    """
+    changes = change_times(sites(controls.wells))
+    before = np.full((len(controls.wells), len(changes)), np.nan)
+    before[:, 0] = controls.initial
+    known = np.searchsorted(changes, recorded_time)
+    if len(known):
+        before[:, known] = recorded.T
+    return changes, before
 
 
 def until(recorded: Array, times: int) -> Array:

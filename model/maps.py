@@ -74,7 +74,7 @@ def _pore_maps(scene: Scene, products: Mapping[str, Any], with_ends: bool) -> di
         if fractured is not None:
             pressure = until(fractured.records.pressure, len(controls.times))
         elif (followed := products.get("follow")) is not None:
-            pressure = followed.pressure
+            pressure = until(followed.records.pressure, len(controls.times))
         else:
             coupled = products.get("consolidate")
             responses = products["flow"] if coupled is None else coupled.flow

@@ -14,6 +14,7 @@ from demflow.model.history import (
     Volumes,
     kept_pressures,
     marched,
+    pressures_at_changes,
     superposed,
     superposed_error,
     superposed_record,
@@ -254,7 +255,8 @@ def _coupled(
         found |= _strained(consolidated, stress, controls, loads, wanted)
         return superposed(consolidated.flow, controls, loads), found
     if followed is not None and stress is not None:
-        return _marched(followed, controls), found | _closed(followed, stress, wanted)
+        found |= _closed(followed, stress, len(controls.times), wanted)
+        return _marched(followed, controls), found
     return None, found
 
 
@@ -335,42 +337,48 @@ def _fractured(
 
 
 def _closed(
-    followed: Followed, stress: StressState, wanted: tuple[str, ...]
+    followed: Followed, stress: StressState, times: int, wanted: tuple[str, ...]
 ) -> dict[str, np.ndarray]:
     """What a rock whose apertures followed its forces did besides its flow."""
+    kept = followed.records
     found = {
-        "wall_displacement": followed.wall,
-        "effective_stress": stress.stress[:, None] + followed.stress,
+        "wall_displacement": until(kept.wall, times).T,
+        "effective_stress": stress.stress[:, None] + until(kept.stress, times).T,
     }
     found = {name: value for name, value in found.items() if name in wanted}
-    return found | ({"kept_conductance": followed.kept_conductance} if found else {})
+    if found:
+        found["kept_conductance"] = until(kept.kept_conductance, times)
+    if followed.standing.stopped:
+        found[STOPPED] = np.asarray(followed.standing.stopped)
+    return found
 
 
 def _marched(followed: Followed, controls: Controls) -> History:
-    """The history of a rock whose apertures followed its forces."""
-    volumes = Volumes(followed.stored, followed.let_in, followed.produced, followed.moved)
+    """The history of a rock whose apertures followed its forces; NaN after an early end."""
+    kept, t, now = followed.records, len(controls.times), followed.standing
+    rows = {name: until(getattr(kept, name), t).T for name in kept._fields}
+    at_changes = pressures_at_changes(followed.at_changes, followed.change_time, controls)
     return History(
         times=np.asarray(controls.times),
-        well_pressure=followed.well_pressure,
-        well_rate=followed.well_rate,
-        boundary_flow=followed.boundary_flow,
-        boundary_pressure=kept_pressures(controls, len(controls.times)),
-        probe_pressure=followed.probe_pressure,
-        change_times=followed.change_times,
-        pressure_at_changes=followed.pressure_at_changes,
-        volumes=volumes,
+        well_pressure=rows["well_pressure"],
+        well_rate=rows["well_rate"],
+        boundary_flow=rows["boundary_flow"],
+        boundary_pressure=kept_pressures(controls, t),
+        probe_pressure=rows["probe_pressure"],
+        change_times=at_changes[0],
+        pressure_at_changes=at_changes[1],
+        volumes=Volumes(kept.stored, kept.let_in, kept.produced, kept.moved),
         probe_place=followed.probe_place,
         solved=Solved(
             residual=followed.residual,
             range_error=None,
-            estimated_error=followed.error,
-            tolerance_met=np.asarray(1.0),
+            estimated_error=np.asarray(now.error),
+            tolerance_met=np.asarray(float(not now.stopped)),
             isolated_domains=np.asarray(0),
             flow_balance_error=None,
             solver_used=np.asarray("coupled implicit"),
             solver_reason=np.asarray(
-                f"apertures follow forces: {int(followed.steps)} steps, "
-                f"{int(followed.factors)} factors"
+                f"apertures follow forces: {now.steps} steps, {now.factors} factors"
             ),
         ),
     )

@@ -25,7 +25,7 @@ from demflow.model.amounts import (
     kept_by_observe,
 )
 from demflow.model.controls import active_sources, controls_of, sites, step_decades
-from demflow.model.coupling.told import BreakingFluid, BreakingRock, march_legs
+from demflow.model.coupling.told import BreakingFluid, BreakingRock, march_legs, stretches
 from demflow.model.families import alike, asked, may_be_emulated, member, place
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
@@ -546,8 +546,8 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="follow",
         function="demflow.model.coupling.following:follow",
-        version=4,
-        parents=("pack", "network", "walk", "stress", "calibrate"),
+        version=5,
+        parents=("pack", "network", "walk", "stress", "calibrate", "follow"),
         reads={
             "region": lambda s: s.rock,
             "matrix": lambda s: s.pipes,
@@ -559,19 +559,17 @@ STAGES: tuple[Stage, ...] = (
             "bonds": _cement,
             "held": lambda s: s.coupling and s.coupling.held_walls,
             "bulk_modulus": lambda s: s.fluid and s.fluid.modulus,
-            "wells": lambda s: sites(s.wells),
+            "wells": lambda s: sites(tuple(map(_placed, s.wells))),
             "sides": lambda s: tuple(name for name, _ in s.held_sides),
             "initial": lambda s: s.uniform_pressure,
             "kept": lambda s: controls_of(s).fixed_pressures,
-            "rates": lambda s: tuple(w.rate_changes for w in s.wells if w.pressure is None),
-            "loads": lambda s: s.loads,
             "probes": lambda s: s.probes if "probe_pressure" in s.observe else (),
-            "times": lambda s: controls_of(s).times,
             "tolerance": lambda s: s.solver.tolerance,
             "record_map": lambda s: "pressure_map" in s.observe,
         },
         wanted=lambda s: s.flows and s.coupling_method == "apertures",
         product="demflow.model.coupling.following:Followed",
+        legs=stretches,
         kept=kept_by_flow,
         held=held_by_flow,
     ),

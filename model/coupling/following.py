@@ -25,9 +25,10 @@ from demflow.model.coupling.frame import frame_of
 from demflow.model.coupling.march import ERROR, GAMMA, LADDER, SAFETY, Stepper, between
 from demflow.model.coupling.record import Record, record_of
 from demflow.model.coupling.rock import Rock, conductances, rock_of
+from demflow.model.coupling.told import Stretch
 from demflow.model.flow.equation.outputs import outputs
 from demflow.model.flow.equation.probes import between_pores
-from demflow.model.flow.equation.sites import WellSite, change_times
+from demflow.model.flow.equation.sites import WellSite
 from demflow.model.flow.equation.system import System, assemble
 from demflow.model.network.apertures import open_pipes
 from demflow.model.outcome import ModelError
@@ -49,51 +50,55 @@ MOST_STEPS = 5_000
 MOST_TRIES = 30  # of one step
 AGAIN = 2  # times that a step is taken with the conductances that it led to
 
-Schedule = tuple[tuple[float, float], ...]
+
+class Standing(NamedTuple):
+    """Where a march stands, in the units of its rock."""
+
+    time: float  # s
+    step: float  # s: the next one, where nothing changes; 0: not known
+    p: Array  # (n,)
+    u: Array  # (m,) K⁻¹ A p
+    force: Array  # (m,) f
+    by_force: Array  # (m,) K⁻¹ f
+    into: Array  # (fixed,) m³ through pipes since the start
+    produced: float  # m³ by wells at a rate
+    throughput: float  # m³: the same without signs
+    rate: Array  # (m,) du/dt of the last step
+    largest: float  # pressure so far
+    error: float  # largest estimated error of a step, over that
+    steps: int
+    factors: int
+    conducts: float  # sum of the conductances of pipes at the start
+    stopped: str  # why it came to an early end, "" where it did not
 
 
-class Followed(NamedTuple):
-    """What a rock did at t times whose apertures followed its forces; fields as in `History`."""
+class Records(NamedTuple):
+    """What was recorded at t times; fields as in `History`, but by time first."""
 
-    well_pressure: Array  # (w, t) Pa
-    well_rate: Array  # (w, t) m³/s
-    boundary_flow: Array  # (b, t) m³/s
-    probe_pressure: Array  # (p, t) Pa
-    probe_place: Array  # (p, 2) m
-    change_times: Array  # (c,) s
-    pressure_at_changes: Array  # (w, c) Pa
+    well_pressure: Array  # (t, w) Pa
+    well_rate: Array  # (t, w) m³/s
+    boundary_flow: Array  # (t, b) m³/s
+    probe_pressure: Array  # (t, p) Pa
     stored: Array  # (t,) m³
     let_in: Array  # (t, k) m³
     produced: Array  # (t,) m³
     moved: Array  # (t,) m³
-    wall: Array  # (4, t) m
-    stress: Array  # (3, t) Pa, change of the mean effective stress
-    pressure: Array  # (t, m) Pa, of pores and nodes of traces; m = 0 where no map is asked for
-    aperture: Array  # (p,) m, of the pipes at the last time
+    wall: Array  # (t, 4) m
+    stress: Array  # (t, 3) Pa, change of the mean effective stress
     kept_conductance: Array  # (t,) mean of the conductances of pipes over those at the start
+    pressure: Array  # (t, m) Pa, of pores and nodes of traces; m = 0 where no map is asked for
+
+
+class Followed(NamedTuple):
+    """What a rock did whose apertures followed its forces, and where its march stands."""
+
+    standing: Standing
+    records: Records
+    change_time: Array  # (c,) s, at which rates change
+    at_changes: Array  # (c, w) Pa: pressures of the wells just before
+    probe_place: Array  # (p, 2) m
+    aperture: Array  # (p,) m, of the pipes where the march stands
     residual: Array  # () of the volumes that the last pressures store, u by K's own factor
-    error: Array  # () largest estimated error of a step, over the largest pressure change
-    steps: Array  # ()
-    factors: Array  # ()
-
-
-class Forcing(NamedTuple):
-    """What acts on a rock: pressures that are kept, and rates and loads in time."""
-
-    kept: Array  # (fixed,) Pa over the initial pressure
-    rates: tuple[Schedule, ...]  # of each well at a rate, m³/s
-    loads: tuple[Schedule, ...]  # on the right and the top wall, Pa
-
-    @property
-    def changes(self) -> Array:
-        """Times at which rates or loads change, from zero on, s."""
-        times = {0.0} | {t for one in (*self.rates, *self.loads) for t, _ in one}
-        return np.array(sorted(times))
-
-
-def now(schedule: Schedule, time: float) -> float:
-    """What a schedule has reached right after a time."""
-    return next((value for start, value in reversed(schedule) if start <= time), 0.0)
 
 
 class Moving:
@@ -158,6 +163,7 @@ def follow(
     walked: Walk | None,
     stress: StressState,
     unit_permeability: Permeability | None,
+    before: Followed | None = None,
     *,
     region: Region,
     matrix: Matrix,
@@ -173,32 +179,33 @@ def follow(
     sides: tuple[str, ...],
     initial: float,
     kept: tuple[float, ...],
-    rates: tuple[Schedule, ...],
-    loads: tuple[Schedule, ...],
     probes: tuple[Probe, ...],
-    times: tuple[float, ...],
     tolerance: float,
     record_map: bool,
+    leg: Stretch,
 ) -> Followed:
-    """March a rock whose apertures follow its forces (the stage *follow*).
+    """March on by one leg a rock whose apertures follow its forces (the stage *follow*).
 
     Parameters
     ----------
     packing, network : grains between walls, and all their pores.
     walked, stress, unit_permeability, region, matrix, fractures, viscosity : as for
         `network.apertures.open_pipes`; forces count from the stress.
+    before : what the leg before left; None at first.
     normal_stiffness, stiffness_ratio, friction, bonds, held : as for `consolidate`.
     bulk_modulus : K_f of the fluid, Pa.
     wells, sides : where they are.
     initial : pressure at the start, at which the stress is effective, Pa.
     kept : pressures of the sides, then of the wells that keep one, Pa.
-    rates : changes of each well at a rate (s, m³/s).
-    loads : changes of the stress on the right and on the top wall (s, Pa).
-    probes, times, record_map : what is recorded, and when (s).
+    probes, record_map : what is recorded.
     tolerance : of the error of a step, over the largest change of pressure so far.
+    leg : what to do.
 
-    Raises `ModelError` where the rock is loose, or a step cannot be found.
+    Raises `ModelError` where the rock is loose; a step that cannot be found ends the march, which
+    its `standing` tells.
     """
+    if before is not None and before.standing.stopped:
+        return before
     check_walls(packing, region)
     filled, walls = between_walls(packing, region)
     frame = frame_of(
@@ -225,74 +232,68 @@ def follow(
     probed = between_pores(network, start, filled, system, points)
     rock = rock_of(packing, network, frame, system, normal_stiffness)
     record = record_of(rock, packing, outputs(system, probed))
-    forcing = Forcing(np.array(kept, dtype=float) - initial, rates, loads)
+    pressures = np.array(kept, dtype=float) - initial
     moving = Moving(rock, stress, opened, assembled)
     with one_blas_thread():
         found = _Run(
-            moving, record, forcing, (walls.height, walls.width), np.array(times), tolerance,
-            record_map=record_map,
+            moving, record, pressures, leg, (walls.height, walls.width), tolerance,
+            None if before is None else before.standing, record_map=record_map,
         )  # fmt: skip
         found.go()
-    fixed, at_rate = system.fixed_count, len(system.rate_wells)
-    held_wells = system.pressure_wells
-    pressure = np.empty((len(wells), len(times)))
-    rate = np.empty_like(pressure)
-    changes = change_times(wells)
-    before = np.empty((len(wells), len(changes)))
-    place = {k: n for n, k in enumerate(system.rate_wells)}
-    for k in range(len(wells)):
-        if k in place:
-            pressure[k] = initial + found.output[:, place[k]]
-            rate[k] = [now_before(rates[place[k]], t) for t in times]
-            before[k] = initial + np.array([found.before[t][place[k]] for t in changes])
-        else:
-            number = len(sides) + held_wells.index(k)
-            pressure[k] = before[k] = kept[number]
-            rate[k] = -found.flow[:, number]
+    fixed, at_rate, count = system.fixed_count, len(system.rate_wells), found.at
+    own, held_ones = list(system.rate_wells), list(system.pressure_wells)
+    output, flow = found.output[:count], found.flow[:count]
+
+    def at_wells(times: int, by_rate: Array, by_pressure: Array) -> Array:
+        """What is known of wells at a rate and of those at a pressure, (t, w) together."""
+        whole = np.empty((times, len(wells)))
+        whole[:, own], whole[:, held_ones] = by_rate, by_pressure
+        return whole
+
+    theirs = np.array(kept[len(sides) :])
     nodes = np.append(np.arange(len(network.x)), len(network.x) + np.arange(len(start.node_x)))
-    maps = np.full((len(times), len(nodes) if record_map else 0), initial)
+    maps = np.full((count, len(nodes) if record_map else 0), initial)
     if record_map:
         node, source = system.node_of_domain[nodes], system.source_of_domain[nodes]
-        maps[:, node >= 0] += found.pressure[:, node[node >= 0]]
-        maps[:, source >= 0] += forcing.kept[source[source >= 0]]
-    produced = np.array([sum(_volume(one, t) for one in rates) for t in times])
-    throughput = np.array([sum(_volume(one, t, size=True) for one in rates) for t in times])
-    o = record.flow_outputs
-    return Followed(
-        well_pressure=pressure,
-        well_rate=rate,
-        boundary_flow=found.flow[:, : len(sides)].T,
-        probe_pressure=initial + found.output[:, at_rate + fixed : o].T,
-        probe_place=probed.place,
-        change_times=changes,
-        pressure_at_changes=before,
-        stored=found.stored,
-        let_in=found.let_in,
-        produced=produced,
-        moved=np.abs(found.let_in).sum(axis=1) + np.abs(found.stored) + throughput,
-        wall=found.output[:, o : o + 4].T,
-        stress=found.output[:, o + 4 :].T,
+        maps[:, node >= 0] += found.pressure[:count, node[node >= 0]]
+        maps[:, source >= 0] += pressures[source[source >= 0]]
+    o, span = record.flow_outputs, np.array(leg.times[:count]) - leg.start
+    standing = found.standing()
+    begun = found.begun
+    let_in, stored = found.let_in[:count], found.stored[:count]
+    put_through = begun.throughput + np.abs(leg.rates).sum() * span
+    records = Records(
+        well_pressure=at_wells(count, initial + output[:, :at_rate], theirs),
+        well_rate=at_wells(count, np.array(leg.rates, dtype=float), -flow[:, len(sides) :]),
+        boundary_flow=flow[:, : len(sides)],
+        probe_pressure=initial + output[:, at_rate + fixed : o],
+        stored=stored,
+        let_in=let_in,
+        produced=begun.produced + sum(leg.rates) * span,
+        moved=np.abs(let_in).sum(axis=1) + np.abs(stored) + put_through,
+        wall=output[:, o : o + 4],
+        stress=output[:, o + 4 :],
+        kept_conductance=found.kept[:count],
         pressure=maps,
-        aperture=moving.at(found.u + found.by_force)[1].aperture,
-        kept_conductance=found.kept,
-        residual=np.asarray(found.residual()),
-        error=np.asarray(found.error),
-        steps=np.asarray(found.steps),
-        factors=np.asarray(found.stepper.made),
     )
-
-
-def now_before(schedule: Schedule, time: float) -> float:
-    """What a schedule had reached right before a time."""
-    return next((value for start, value in reversed(schedule) if start < time), 0.0)
-
-
-def _volume(schedule: Schedule, time: float, *, size: bool = False) -> float:
-    """Volume that a well has produced, m³; or all of it without signs."""
-    ends = [*(t for t, _ in schedule[1:]), math.inf]
-    spans = [max(min(end, time) - t, 0.0) for (t, _), end in zip(schedule, ends, strict=True)]
-    rates = [abs(q) if size else q for _, q in schedule]
-    return float(np.dot(rates, spans))
+    changed = leg.changes and not standing.stopped
+    last = (record.pressure @ found.p + record.place @ (found.u + found.by_force))[:at_rate]
+    at_changes = at_wells(1, initial + last[None], theirs)[: int(changed)]
+    change_time = np.array([leg.end])[: int(changed)]
+    if before is not None:
+        pairs = zip(before.records, records, strict=True)
+        records = Records(*(np.concatenate([one, other]) for one, other in pairs))
+        at_changes = np.concatenate([before.at_changes, at_changes])
+        change_time = np.append(before.change_time, change_time)
+    return Followed(
+        standing=standing,
+        records=records,
+        change_time=change_time,
+        at_changes=at_changes,
+        probe_place=probed.place,
+        aperture=moving.at(found.u + found.by_force)[1].aperture,
+        residual=np.asarray(found.residual()),
+    )
 
 
 class _Taken(NamedTuple):
@@ -302,49 +303,86 @@ class _Taken(NamedTuple):
 
 
 class _Run:
-    """A march: where it stands, and what was recorded of it at its times."""
+    """A leg of a march: where it stands, and what was recorded of it at its times."""
 
     def __init__(
         self,
         moving: Moving,
         record: Record,
-        forcing: Forcing,
+        kept: Array,
+        leg: Stretch,
         lengths: tuple[float, float],
-        times: Array,
         tolerance: float,
+        before: Standing | None,
         *,
         record_map: bool,
     ) -> None:
-        self.moving, self.record, self.forcing = moving, record, forcing
-        self.lengths, self.times, self.tolerance = lengths, times, tolerance
+        """`kept` (fixed,) are pressures over the initial one, Pa."""
+        self.moving, self.record, self.kept_pressure = moving, record, kept
+        self.leg, self.times, self.lengths, self.tolerance = leg, leg.times, lengths, tolerance
         rock = moving.rock
         n, m, fixed = rock.system.n, len(rock.frame.free), rock.system.fixed_count
-        count = len(times)
+        count = len(self.times)
         self.output = np.zeros((count, record.pressure.shape[0]))
         self.flow, self.let_in = np.zeros((count, fixed)), np.zeros((count, fixed))
         self.stored, self.kept = np.zeros(count), np.ones(count)
         self.pressure = np.zeros((count, n if record_map else 0))
-        self.before: dict[float, Array] = {}
-        self.p, self.u = np.zeros(n), np.zeros(m)  # u = K⁻¹ A p
-        self.force, self.by_force = np.zeros(m), np.zeros(m)  # f and K⁻¹ f
-        self.into, self.rate, self.drawn = np.zeros(fixed), np.zeros(m), np.zeros(0)
-        self.largest, self.error, self.steps, self.at = 0.0, 0.0, 0, 0
-        self.rock, apertures = moving.at(self.u)
-        self.start = apertures.conductance.sum()
-        self.stepper = Stepper(self.rock)
+        self.at, self.stopped = 0, ""
+        if before is None:
+            conducts = float(moving.at(np.zeros(m))[1].conductance.sum())
+            rest = np.zeros(m)
+            before = Standing(
+                0.0, 0.0, np.zeros(n), rest, rest, rest, np.zeros(fixed), 0.0, 0.0, rest, 0.0, 0.0,
+                0, 0, conducts, "",
+            )  # fmt: skip
+        self.begun, self.time, self.step = before, before.time, before.step
+        self.p, self.u, self.rate = before.p, before.u, before.rate
+        self.force, self.by_force, self.into = before.force, before.by_force, before.into
+        self.largest, self.error, self.steps = before.largest, before.error, before.steps
+        self.rock = rock
+        self.drawn = np.array(leg.rates, dtype=float) / rock.size
+        self.stepper = Stepper(rock)
 
     def go(self) -> None:
-        """From one change of rates and loads to the next, to the last time."""
-        changes = [t for t in self.forcing.changes if t < self.times[-1]]
-        for begin, end in zip(changes, [*changes[1:], self.times[-1]], strict=True):
-            self._change(begin)
-            time = begin
-            step = FIRST_STEP * (min(float(self.times[self.at]), end) - begin)
-            while time < end and self.at < len(self.times):
-                taken, step, wish = self._find(time, min(step, end - time))
-                self._keep(taken, time, step)
-                time = end if time + step >= end * (1.0 - 1e-12) else time + step
-                step *= wish
+        """To the end of the leg."""
+        begin, end = self.leg.start, self.leg.end
+        self._change()
+        if self.step == 0.0:
+            self.step = FIRST_STEP * (min((*self.times, end)) - begin)
+        try:
+            while self.time < end:
+                asked = min(self.step, end - self.time)
+                found, step, wish = self._find(self.time, asked)
+                self._keep(found, self.time, step)
+                ends = self.time + step >= end * (1.0 - 1e-12)
+                self.time = end if ends else self.time + step
+                # one that the end of the leg cut short says nothing of the next
+                self.step = max(step * wish, self.step if step == asked else 0.0)
+        except ModelError as lost:
+            self.stopped = str(lost)
+
+    def standing(self) -> Standing:
+        """Where it stands."""
+        rates, span = np.array(self.leg.rates, dtype=float), self.time - self.leg.start
+        begun = self.begun
+        return Standing(
+            time=self.time,
+            step=0.0 if self.leg.changes else self.step,
+            p=self.p,
+            u=self.u,
+            force=self.force,
+            by_force=self.by_force,
+            into=self.into,
+            produced=begun.produced + float(rates.sum()) * span,
+            throughput=begun.throughput + float(np.abs(rates).sum()) * span,
+            rate=self.rate,
+            largest=self.largest,
+            error=self.error,
+            steps=self.steps,
+            factors=begun.factors + self.stepper.made,
+            conducts=begun.conducts,
+            stopped=self.stopped,
+        )
 
     def residual(self) -> float:
         """How far u is from K⁻¹ A p at the end, as volumes stored, relative."""
@@ -354,16 +392,12 @@ class _Run:
         off = float(np.linalg.norm(rock.stored(self.p, self.u) - exact))
         return off / size if size > 0.0 else 0.0
 
-    def _change(self, time: float) -> None:
-        """Put on what acts from a time on; the fluid bears at once what the frame does not."""
+    def _change(self) -> None:
+        """Put on what acts from now on; the fluid bears at once what the frame does not."""
         rock, frame = self.moving.rock, self.moving.rock.frame
-        record = self.record
-        self.before[time] = record.pressure @ self.p + record.place @ (self.u + self.by_force)
-        wanted = rock.held @ self.forcing.kept / rock.modulus
-        for schedule, wall, length in zip(
-            self.forcing.loads, ("right", "top"), self.lengths, strict=True
-        ):
-            wanted = wanted + now(schedule, time) * rock.unit_load(wall, length).force
+        wanted = rock.held @ self.kept_pressure / rock.modulus
+        for load, wall, length in zip(self.leg.loads, ("right", "top"), self.lengths, strict=True):
+            wanted = wanted + load * rock.unit_load(wall, length).force
         if np.any(wanted != self.force):
             jump = frame.moved(wanted - self.force)
             pushed = -(rock.squeeze.T @ jump)
@@ -371,12 +405,13 @@ class _Run:
             self.p, self.u = self.p + dp, self.u + du
             self.by_force, self.force = self.by_force + jump, wanted
             self.largest = max(self.largest, float(np.abs(self.p).max()))
-        self.drawn = np.array([now(one, time) for one in self.forcing.rates]) / rock.size
-        self.rate[:] = 0.0
+            self.step = 0.0
+        if self.step == 0.0:
+            self.rate = np.zeros(len(self.u))
 
     def _source(self, system: System) -> Array:
         """What flows in where pressures are zero, (n,)."""
-        kept = self.forcing.kept[system.fixed_source] / self.moving.rock.size
+        kept = self.kept_pressure[system.fixed_source] / self.moving.rock.size
         flows = np.bincount(system.fixed_node, system.fixed_g * kept, system.n)
         flows[system.well_node] -= self.drawn
         return np.asarray(flows)
@@ -423,7 +458,7 @@ class _Run:
 
     def _keep(self, taken: _Taken, time: float, step: float) -> None:
         """Record the times within a step, and stand at its end."""
-        rock, record, kept = self.rock, self.record, self.forcing.kept
+        rock, record, kept = self.rock, self.record, self.kept_pressure
         by_pressure, by_place = record.volume
         held = rock.size * rock.held
         let = np.array([_let_in(rock.system, kept, q * rock.modulus) for q in taken.p])
@@ -440,7 +475,7 @@ class _Run:
             self.flow[k] += held.T @ (slope @ taken.u) / step
             self.let_in[k] = part @ np.array(then) + held.T @ place
             self.stored[k] = by_pressure @ here + by_place @ place
-            self.kept[k] = apertures.conductance.sum() / self.start
+            self.kept[k] = apertures.conductance.sum() / self.begun.conducts
             if self.pressure.size:
                 self.pressure[k] = rock.modulus * here
             self.at += 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from demflow.model.coupling import following, told
 from demflow.model.region import Rectangle
 from demflow.model.scene import (
     Bonds,
@@ -21,7 +22,7 @@ from demflow.model.scene import (
     Well,
     one_way_ratio,
 )
-from demflow.model.stages import run_stages, simulate
+from demflow.model.stages import STAGES, run_stages, simulate
 
 STRESS, START = 1e7, 5e7
 SCENE = Scene(
@@ -92,9 +93,66 @@ def test_where_no_force_closes_a_pipe_it_is_the_linear_rock():
     assert found["mass_balance_error"] <= 1e-9
     assert found["kept_conductance"] == pytest.approx(1.0, abs=1e-6)
     assert str(found["coupling_used"]) == "apertures"
-    maps = products["follow"].pressure
+    maps = products["follow"].records.pressure
     assert maps.shape == (3, len(products["network"].x))
     assert np.isfinite(maps).all()
+
+
+def marched(scene, monkeypatch, outputs):
+    """What a scene gives whose legs end after so many outputs."""
+    monkeypatch.setattr(told, "LEG", outputs)
+    return run_stages(scene)
+
+
+@pytest.mark.slow
+def test_legs_end_at_changes_and_after_outputs_and_change_no_more_than_steps_do(monkeypatch):
+    wells = (Well(name="w", at=(0.1, 0.0), radius=0.02, schedule=((0.0, 1e-6), (5.0, 0.0))),)
+    scene = changed(
+        wells=wells, times=(0.3, 1.0, 3.0, 10.0, 30.0), boundaries=(("right", START),),
+        coupling=Coupling(method="apertures", schedule_yy=((0.0, 1e6), (2.0, 0.0))),
+        observe=(*SCENE.observe, "well_pressure"), solver=Solver(tolerance=1e-3),
+    )  # fmt: skip
+    legs = told.stretches(scene)
+    assert [(leg.start, leg.end) for leg in legs] == [(0.0, 2.0), (2.0, 5.0), (5.0, 30.0)]
+    assert [leg.loads for leg in legs] == [(0.0, 1e6), (0.0, 0.0), (0.0, 0.0)]
+    assert [leg.rates for leg in legs] == [(1e-6,), (1e-6,), (0.0,)]
+    assert [leg.changes for leg in legs] == [False, True, False]
+    whole, parted = marched(scene, monkeypatch, 10), marched(scene, monkeypatch, 1)
+    assert len(told.stretches(scene)) == 5
+    for name in scene.observe:
+        one, other = whole["observe"][name], parted["observe"][name]
+        size = np.nanmax(np.abs(one - (START if name == "well_pressure" else 0.0)))
+        np.testing.assert_allclose(other, one, atol=2e-3 * size, err_msg=name)
+    found = parted["observe"]
+    assert found["mass_balance_error"] <= 1e-12
+    # what a well had reached before its rate fell is known, and its change counts from there
+    change = found["pressure_change"][0, -1]
+    assert change == pytest.approx(
+        found["well_pressure"][0, -1] - parted["follow"].at_changes[0, 0], rel=1e-9
+    )
+
+
+def test_cases_that_begin_alike_share_their_first_legs():
+    def given(schedule):
+        well = Well(name="w", at=(0.1, 0.0), radius=0.02, schedule=schedule)
+        scene = changed(wells=(well,), times=(1.0, 3.0, 10.0))
+        return [stage.given(scene, leg) for leg in range(len(stage.legs_of(scene)))]
+
+    (stage,) = (stage for stage in STAGES if stage.name == "follow")
+    one, other = given(((0.0, 1e-6), (5.0, 0.0))), given(((0.0, 1e-6), (5.0, 2e-6)))
+    assert one[0] == other[0]
+    assert one[1] != other[1]
+
+
+@pytest.mark.slow
+def test_a_step_that_is_not_found_ends_the_march_and_keeps_what_came_before(monkeypatch):
+    monkeypatch.setattr(told, "LEG", 1)
+    monkeypatch.setattr(following, "MOST_STEPS", 25)
+    found = simulate(changed(times=(1e-4, 1e-3, 1e6)))
+    assert "raise solver.tolerance" in str(found["stopped"])
+    flow = found["boundary_flow"]
+    assert np.isfinite(flow[:, 0]).all()
+    assert np.isnan(flow[:, -1]).all()
 
 
 @pytest.mark.slow
