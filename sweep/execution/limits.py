@@ -40,7 +40,8 @@ class Judge:
     """Holds runs against the limits of a case.
 
     A case takes the time of all stage runs that it is made of, shared ones in full, as if
-    it were alone: so it does not depend on its neighbours whether it keeps the limit.
+    it were alone: so it does not depend on its neighbours whether it keeps the limit. Of a run
+    that works through many members of a family it takes the part of one member.
     """
 
     def __init__(self, plan: Plan, store: Store, limits: Limits):
@@ -57,6 +58,10 @@ class Judge:
         if self.limits.time is None:
             return 0.0
         return max(self._seconds_before(run, runs) for run in runs)
+
+    def served(self, runs: Collection[int]) -> int:
+        """Members of a family that each of these runs works through; 1 of a run without."""
+        return min(len(self.plan.runs[run].members) or 1 for run in runs)
 
     def of_time(self, before: float, seconds: float) -> Verdict | None:
         """Whether runs take too long that are not done after so many seconds."""
@@ -101,5 +106,6 @@ class Judge:
         ancestors.difference_update(together)
         for earlier in ancestors - self._seconds.keys():
             with suppress(MissingError, DamagedError):  # the worker will miss it too
-                self._seconds[earlier] = self.store.meta(self.plan.runs[earlier].id)["seconds"]
+                took = self.store.meta(self.plan.runs[earlier].id)["seconds"]
+                self._seconds[earlier] = took / self.served([earlier])
         return sum(self._seconds.get(earlier, 0.0) for earlier in ancestors)

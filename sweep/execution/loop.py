@@ -473,7 +473,8 @@ class _Execution:
             worker.before = self.judge.before(worker.runs)
         since = worker.compiling
         compiling = since is not None and now - since < COMPILING_SECONDS
-        if not compiling and (late := self.judge.of_time(worker.before, now - worker.begin)):
+        seconds = (now - worker.begin) / self.judge.served(worker.runs)
+        if not compiling and (late := self.judge.of_time(worker.before, seconds)):
             return late
         return self.judge.of_memory(worker.known)
 

@@ -110,6 +110,15 @@ def test_a_run_takes_the_time_of_all_that_it_builds_on(made):
     assert Judge(made.plan, made.store, UNLIMITED).of_time(7.0, 1e9) is None
 
 
+def test_of_a_run_of_many_members_a_case_takes_the_part_of_one(made):
+    made.plan.runs[1] = made.plan.runs[1]._replace(members=tuple(range(50)))
+    store(made, 0, seconds=3.0)
+    store(made, 1, seconds=100.0)
+    judge = Judge(made.plan, made.store, Limits(time=10.0))
+    assert judge.before([2]) == 5.0
+    assert [judge.served(runs) for runs in ([1], [2], [1, 2])] == [50, 1, 1]
+
+
 def test_what_a_worker_may_hold_is_its_own_limit_or_the_study_s(made):
     judge = Judge(made.plan, made.store, Limits(memory=3e9))
     assert judge.memory({}) == 3e9
