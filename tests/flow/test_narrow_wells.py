@@ -11,7 +11,7 @@ from demflow.model.permeability import permeability
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import Well
 from tests.reservoirs import reservoir
-from tests.rocks import hexagonal_lattice, random_graph, square_lattice
+from tests.rocks import hexagonal_lattice, packing_of, random_graph, square_lattice
 
 DISC = Circle(1.0)
 VISCOSITY = 1e-3
@@ -66,6 +66,24 @@ def test_a_well_of_any_width_anywhere_has_its_own_logarithm(name, within):
     assert np.abs(off).max() <= within
     assert abs(np.mean(off)) <= 0.02 * (within > 0.01) + 0.005
     assert np.std(off) <= 0.03
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_well_in_a_cavity_stands_in_rock_all_the_same(seed):
+    """In a pore 4 spacings across, of which it is a part or the whole: ln((R² − ρ²) / (R r_w))."""
+    graph, middle = random_graph(1.1, 1500, seed), np.array([0.2, 0.1])
+    left = np.hypot(graph.x - middle[0], graph.y - middle[1]) > 0.15
+    number = np.cumsum(left) - 1
+    a, b = graph.contact_a, graph.contact_b
+    pairs = np.column_stack([number[a], number[b]])[left[a] & left[b]]
+    rock = reservoir(packing_of(graph.x[left], graph.y[left], graph.radius[left], pairs), DISC)
+    step = spacing(rock)
+    assert rock.network.area[rock.network.inside].max() > 10.0 * step**2
+    at = middle + 0.3 * step
+    for radius in (0.1 * step, step, 3.0 * step):
+        well = Well(name="w", at=tuple(at), radius=radius, rate=1.0)
+        expected = math.log((1 - at @ at) / radius)
+        assert drawdown(rock, well)[0] == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.parametrize("name", ROCKS)

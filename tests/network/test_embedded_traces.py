@@ -156,6 +156,35 @@ def test_a_trace_meets_a_well_at_its_wall(radius):
     assert seen["boundary_flow"][0] == pytest.approx(expected, rel=1e-9)
 
 
+@pytest.mark.parametrize("radius", [0.003, 0.05, 0.21])
+def test_a_well_on_a_tip_takes_what_the_trace_carries(radius):
+    """Its axis on the very end of a trace that comes from the rim, whatever pore it lies in."""
+    carried = transmissivity(1e-4, VISCOSITY)
+    for angle in (0.3, 1.7, 4.0):
+        tip = 0.31 * np.array([math.cos(angle), math.sin(angle)])
+        trace = (Trace(name="t", aperture=1e-4, start=tuple(3.0 * tip), end=tuple(tip)),)
+        made = reservoir(ROCK, Circle(0.8), 0.0, trace, viscosity=VISCOSITY)
+        well = (Well(name="w", at=tuple(tip), radius=radius, pressure=0.0),)
+        seen = made.observed(well, (("outer", 1.0),), method="steady")
+        expected = carried / (0.8 - 0.31 - radius)
+        assert seen["boundary_flow"][0] == pytest.approx(expected, rel=1e-9)
+
+
+@pytest.mark.parametrize(("gap", "joined"), [(0.0, True), (3e-10, True), (1e-7, False)])
+def test_traces_that_touch_are_one_and_those_that_do_not_are_two(gap, joined):
+    """Touching is within 1e-9 of their length, end to end and end to middle."""
+    middle = (Trace(name="c", aperture=1e-4, start=(0.1, -0.3), end=(0.1, 0.4)),)
+    ends = (
+        Trace(name="a", aperture=1e-4, start=(-1.5, 0.05), end=(0.1 - gap, 0.05)),
+        Trace(name="b", aperture=1e-4, start=(0.1 + gap, 0.05), end=(1.5, 0.05)),
+    )
+    for lines in (ends, (*ends, *middle)):
+        made = reservoir(ROCK, BOX, 0.0, lines, viscosity=VISCOSITY)
+        seen = made.observed((), ACROSS, method="steady")
+        expected = transmissivity(1e-4, VISCOSITY) / 2.0 if joined else 0.0
+        assert seen["boundary_flow"][0] == pytest.approx(expected, rel=1e-6, abs=1e-30)
+
+
 def test_a_trace_that_conducts_nothing_leaves_the_matrix_as_it_was():
     """But for crossings so near to each other, or beyond a tip, that they are one node."""
     traces = tuple(

@@ -60,6 +60,7 @@ MISTAKES = [
     ("study: small", "study: [a]", "[a]", "names a folder"),
     # between blocks
     ("at: [0, 0], radius", "at: [20, 0], radius", "[20, 0]", "wells.producer.at: the well lies outside the region"),
+    ("radius: 1 ft", "radius: 90 m", "90 m", "wells.producer.radius: the well reaches beyond the rim, which is"),
     ("at: [3, 0]", "at: [30, 0]", "[30, 0]", "probes.p.at: the probe lies outside the region"),
     ("to: [4, 2]", "to: [-3, 1]", "[-3, 1], aperture", "fractures.joint.to: the fracture has zero length"),
     ("rate: 1 bbl/day", "rate: 1, pressure: 5 MPa", "1, pressure", "give exactly one of rate, pressure, schedule"),

@@ -80,16 +80,16 @@ def cuts_by_wells(
         return cuts, links
     for k, site in enumerate(wells.sites):
         field, spacing = wells.fields[k], wells.spacing[k]
+        away = _distance(apertures, lines, np.asarray(site.at))
+        touch = lines[away <= site.radius * (1.0 + TOUCHES)]
+        links += [link for line in touch if (link := _lost_tip(apertures, wells, k, line))]
         if field is None:
             continue
-        away = _distance(apertures, lines, np.asarray(site.at))
         near = lines[away < site.radius + NEAR_PORES * spacing]
         if not len(near):
             continue
         cuts = _seen_from(cuts, edges, network, apertures, wells, k, near)
-        if away.min() <= site.radius * (1.0 + TOUCHES):
-            touch = lines[away <= site.radius * (1.0 + TOUCHES)]
-            links += [link for line in touch if (link := _lost_tip(apertures, wells, k, line))]
+        if len(touch):
             continue
         start, end = apertures.trace_start[near], apertures.trace_end[near]
         free = field.free if isinstance(field, GroundedField) else field
