@@ -396,6 +396,7 @@ class Words(Section):
     """A list of words out of a fixed choice."""
 
     choices: tuple[str, ...]
+    brought: dict[str, tuple[str, ...]] = dataclasses.field(default_factory=dict)  # by which words
 
     def read(self, node: Node, path: str, reading: Reading) -> tuple[str, ...]:
         """The words that are known."""
@@ -408,7 +409,9 @@ class Words(Section):
             text = item.text if isinstance(item, Scalar) else "this"
             if text not in self.choices:
                 hint = (
-                    hinted(text, self.choices, reading) or f"; valid are {', '.join(self.choices)}"
+                    self._with(text)
+                    or hinted(text, self.choices, reading)
+                    or f"; valid are {', '.join(self.choices)}"
                 )
                 reading.report(item.place, f"{path}: unknown word '{text}'{hint}", path)
             elif text in words:
@@ -416,6 +419,11 @@ class Words(Section):
             else:
                 words.append(text)
         return tuple(words)
+
+    def _with(self, text: str) -> str:
+        """Which words bring one that is no choice of its own, as the end of a message."""
+        words = self.brought.get(text, ())
+        return f"; it comes with {' or '.join(words)}" if words else ""
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
         """Never: what is observed is the same for all cases."""

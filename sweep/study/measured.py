@@ -253,7 +253,8 @@ def _cleaned(
         mean = np.bincount(group, pressure) / count
         apart = float(np.max(np.abs(pressure - mean[group])))
         how = f"the mean is taken, up to {apart:.3g} Pa off" if apart else "with the same pressure"
-        notes.append(f"{told_lines(lines[same], word)} repeat the time before; {how}")
+        verb = "repeats" if len(same) == 1 else "repeat"
+        notes.append(f"{told_lines(lines[same], word)} {verb} the time before; {how}")
         first = np.flatnonzero(np.diff(group, prepend=-1))
         time, pressure, lines = time[first], mean, lines[first]
     lone = _spikes(time, pressure, changes)

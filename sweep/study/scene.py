@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from demflow.model.parameters import SceneError, check_fields, parameter
+from demflow.model.quantities import CASE
 from demflow.model.scene import (
     OBSERVABLES,
     BiWing,
@@ -239,9 +240,27 @@ class InitialForms(Section):
         return self.field if isinstance(values, Mapping | dict) else self.number
 
 
+_CLOSED = ("closed", "sealed", "no-flow", "no_flow", "noflow", "no flow")
+
+
 @dataclass(frozen=True)
 class Sides(Named):
     """Sides of the region by name: a pressure that each keeps, or a block with its inflow."""
+
+    def read(self, node: Node, path: str, reading: Reading) -> dict[str, Any]:
+        """Values by name; a side that is said to be closed is told how."""
+        shut = {
+            name: one
+            for name, one in (node.entries.items() if isinstance(node, Mapping) else ())
+            if isinstance(one, Scalar) and one.text.casefold() in _CLOSED
+        }
+        for name, one in shut.items():
+            told = f"a side is closed where boundaries has nothing on it: leave {name} out"
+            reading.report(one.place, f"{join(path, name)}: {told}", join(path, name))
+        if not isinstance(node, Mapping) or not shut:
+            return super().read(node, path, reading)
+        rest = {name: one for name, one in node.entries.items() if name not in shut}
+        return super().read(Mapping(node.place, rest, node.keys), path, reading)
 
     def build(self, values: Any, path: str, problems: list[tuple[str, str]]) -> Any:
         """Pairs of a name and a pressure or an inflow, in the order of the file."""
@@ -414,7 +433,7 @@ def _scene() -> Block:
         "probes": Named(ProbeForms(block_of(Probe), block_of(ProbeLine))),
         "excavate": Listed(blocks_of(typing.get_args(Excavation), WORDS)),
         "times": Times(Parameter(time, tuple[float, ...], optional=False), block_of(LogTimes)),
-        "observe": Words(tuple(OBSERVABLES)),
+        "observe": Words(tuple(OBSERVABLES), {name: one.needs for name, one in CASE.items()}),
     }
     mapped = {declared.name: declared for declared in dataclasses.fields(TraceMap)}
     point = Parameter(mapped["origin"], tuple[float, float], optional=False)

@@ -38,6 +38,17 @@ _WORDS = {  # what loggers write for units, in small letters
     **dict.fromkeys(("stb/d", "stb/day", "sm3/d", "sm3/day", "bbls/day"), "surface"),
 }
 _SURFACE = {"stb": "bbl", "sm3": "m3", "bbls": "bbl"}
+_DAYS = (
+    "%d.%m.%Y",
+    "%d/%m/%Y",
+    "%m/%d/%Y",
+    "%Y/%m/%d",
+    "%d-%m-%Y",
+    "%d-%b-%Y",
+    "%d-%b-%y",
+    "%d %b %Y",
+)
+_HOURS = ("%H:%M:%S", "%H:%M", "%H:%M:%S.%f", "%I:%M:%S %p", "%I:%M %p", "")
 _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-", "--", "-999", "-999.25", "-9999")
 
 
@@ -254,7 +265,8 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
     ----------
     table : of a file
     wanted : as the study has it, `p [psi]` or `p`; None for whichever bears a likely name.
-    likely : beginnings of names, in small letters, the likeliest first.
+    likely : beginnings of names, in small letters, the likeliest first; or, where they are whole
+        words, of words in names (`oil rate`).
     what : what is looked for, for messages.
 
     Raises
@@ -264,11 +276,13 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
     names = [one.name for one in table.columns]
     shown = ", ".join(f"'{name}'" for name in names[:12])
     if wanted is None:
+        first = [re.compile(re.escape(start)) for start in likely]
+        later = [re.compile(rf".*\b{re.escape(start)}") for start in likely if len(start) > 3]
         found = next(
             (
                 hits
-                for start in likely
-                if (hits := [one for one in table.columns if one.name.lower().startswith(start)])
+                for form in (*first, *later)
+                if (hits := [one for one in table.columns if form.match(one.name.lower())])
             ),
             [],
         )
@@ -350,8 +364,36 @@ def numbers(table: Table, one: Column, si: str) -> np.ndarray:
     return values * scale
 
 
+def _dated(cells: list[str]) -> str:
+    """The forms of dates, as `strptime` has them, that read some cells from all of the column."""
+    some = [
+        cell for cell in cells[:: max(len(cells) // 500, 1)] if cell.strip().lower() not in _EMPTY
+    ]
+    read = [f"{day} {hour}".strip() for day in _DAYS for hour in _HOURS]
+    fit = [form for form in read if all(_has_form(cell.strip(), form) for cell in some)]
+    if not fit:
+        return "for instance '%d.%m.%Y %H:%M'"
+    return " or ".join(f"'{form}'" for form in fit) + (", as it is meant" if len(fit) > 1 else "")
+
+
+def _has_form(cell: str, form: str) -> bool:
+    try:
+        datetime.strptime(cell, form)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_iso(cell: str) -> bool:
+    try:
+        datetime.fromisoformat(cell)
+    except ValueError:
+        return False
+    return not _is_number(cell)
+
+
 def times(table: Table, one: Column, form: str | None) -> Readings:
-    """A column of times, s: elapsed, or dates as ISO 8601 writes them or by `form`.
+    """A column of times, s: elapsed, or dates by `form` or as ISO 8601 writes them.
 
     Dates without a zone are taken as they are, those with one as UTC. Raises TableError.
 
@@ -364,6 +406,8 @@ def times(table: Table, one: Column, form: str | None) -> Readings:
     cells = one.cells
     texts = isinstance(cells, list)
     first = next((c for c in cells if c.strip().lower() not in _EMPTY), "") if texts else ""
+    if form and texts and not _has_form(first.strip(), form) and _is_iso(first.strip()):
+        form = None  # one of several files, whose dates can be read in one way only
     if form is None and (not texts or _is_number(str(first))):
         return Readings(numbers(table, one, "s"))
     if not texts:
@@ -382,6 +426,6 @@ def times(table: Table, one: Column, form: str | None) -> Readings:
     if wrong:
         shown = cells[wrong[0]][:40]
         how = f"not of the form '{form}'" if form else "neither a number nor a date as in "
-        how += "" if form else "2024-05-17T08:30:00; say date_format, for instance '%d.%m.%Y %H:%M'"
+        how += "" if form else f"2024-05-17T08:30:00; say date_format, {_dated(list(cells))}"
         raise TableError(f"{told_lines(table.lines[wrong], table.word)}: '{shown}' is {how}")
     return Readings(values, dates=True)

@@ -346,14 +346,26 @@ def parse_unit(text: str) -> Unit:
     return unit
 
 
+FIELD_WORDS = {  # as others call what has a name here
+    **dict.fromkeys(("bhp", "flowing_pressure", "pwf"), "pressure"),
+    **dict.fromkeys(("min_bhp", "bhp_min", "minimum_bhp", "min_pressure"), "least_pressure"),
+    **dict.fromkeys(("max_bhp", "bhp_max", "maximum_bhp", "max_pressure"), "largest_pressure"),
+    **dict.fromkeys(("lhs", "latin_hypercube", "sobol"), "distribution"),
+    **dict.fromkeys(("perm", "k"), "permeability"),
+    **dict.fromkeys(("poro", "phi"), "porosity"),
+    "compliance": "compressibility",
+    "position": "at",
+}
+
+
 def nearest(name: str, valid: Iterable[str]) -> str | None:
     """The valid name that a given one most likely stands for, or None if none is like it.
 
-    One that differs by its case; the only one of which it is the first or the last words
-    (`skin` of `skin_factor`); else the one that is spelt most like it.
+    One that differs by its case, or is called so by others; the only one of which it is the first
+    or the last words (`skin` of `skin_factor`); else the one that is spelt most like it.
     """
     names = list(valid)
-    folded = name.lower()
+    folded = FIELD_WORDS.get(name.lower(), name.lower())
     same = [known for known in names if known.lower() == folded]
     if same:
         return same[0]

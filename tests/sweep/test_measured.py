@@ -89,12 +89,19 @@ def test_dates_of_gauge_and_rates_share_a_clock(tmp_path):
     british = [(f"17/05/2024 08:{m:02d}", 3000 - m) for m in minutes]
     _, problems = read(tmp_path, {"b.csv": table_of(british, "date,p [psi]")})
     assert "neither a number nor a date" in problems[0]
-    assert "date_format" in problems[0]
+    assert "say date_format, '%d/%m/%Y %H:%M'" in problems[0]
+    early = table_of([(f"05/03/2024 08:{m:02d}:00", 3000 - m) for m in minutes], "date,p [psi]")
+    _, problems = read(tmp_path, {"b.csv": early})
+    assert "'%d/%m/%Y %H:%M:%S' or '%m/%d/%Y %H:%M:%S', as it is meant" in problems[0]
     assert "line" in problems[0]
     test = good(
         tmp_path, {"b.csv": table_of(british, "date,p [psi]")}, date_format='"%d/%m/%Y %H:%M"'
     )
     np.testing.assert_allclose(test.time, 60.0 * minutes)
+    iso = rates.replace("q [bbl/d]", "oil rate [bbl/d]")  # its dates can be read in one way only
+    both = {"b.csv": table_of(british, "date,p [psi]"), "q.csv": iso}
+    test = good(tmp_path, both, rates="q.csv", date_format='"%d/%m/%Y %H:%M"')
+    assert [start for start, _ in test.rate_changes] == [0.0, 3600.0]
     _, problems = read(
         tmp_path, files | {"q.csv": table_of([(0, 5)], "t [h],q [bbl/d]")}, rates="q.csv"
     )
@@ -112,7 +119,7 @@ def test_disorder_is_put_right_and_told_with_its_lines(tmp_path):
     test = good(tmp_path, {"a.csv": table_of(twice)})
     assert len(test.time) == len(TIMES)
     assert test.pressure[19] == pytest.approx((PRESSURES[19] + 1.0) * PSI)
-    assert "line 22 repeat" in test.notes[0]
+    assert "line 22 repeats" in test.notes[0]
     assert "mean is taken" in test.notes[0]
     empty = [*rows[:5], (rows[5][0], ""), *rows[6:]]
     test = good(tmp_path, {"a.csv": table_of(empty)})
