@@ -471,9 +471,6 @@ class Scene:
         if self.stress is None:
             what = "apertures follow forces only under a stress; give one, or take linear"
             yield "coupling.method", what
-        elif self.stress.angle != 0.0:
-            what = "apertures that follow forces take a stress along the axes; leave the angle out"
-            yield "stress.angle", what
         if self.start != "uniform":
             what = "a march with apertures that follow forces starts from one pressure"
             yield "initial_pressure", what
