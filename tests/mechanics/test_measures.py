@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from demflow.model.mechanics.packing.compaction import attempt
-from demflow.model.mechanics.packing.floaters import fit, largest_circle
+from demflow.model.mechanics.packing.floaters import fit, largest_circles
 from demflow.model.mechanics.packing.packing import pack
 from demflow.model.mechanics.packing.packing_targets import PRESSURE, by_porosity
 from demflow.model.mechanics.packing.sizes import sizes_of
@@ -115,12 +115,13 @@ def test_a_row_under_its_ends_is_one_chain() -> None:
 
 def test_largest_circle_between_three_discs() -> None:
     """The inner Soddy circle: 1 / ρ = 3 + 2 √3 for three unit discs that touch."""
-    x, y = np.array([0.0, 2.0, 1.0]), np.array([0.0, 0.0, np.sqrt(3.0)])
-    found = largest_circle(x, y, np.ones(3), (1.0, 0.6), 1.0)
+    x, y = np.array([[0.0, 2.0, 1.0]] * 2), np.array([[0.0, 0.0, np.sqrt(3.0)]] * 2)
+    at = np.array([1.0, 9.0]), np.array([0.6, 9.0])
+    found, none = largest_circles(x, y, np.ones((2, 3)), *at, np.ones(2))
     assert found is not None
     assert found[2] == pytest.approx(1.0 / (3.0 + 2.0 * np.sqrt(3.0)), rel=1e-9)
     assert found[:2] == pytest.approx((1.0, 1.0 / np.sqrt(3.0)))
-    assert largest_circle(x, y, np.ones(3), (9.0, 9.0), 1.0) is None
+    assert none is None
 
 
 def test_floaters_are_fitted_without_overlap_and_touch_three() -> None:

@@ -421,8 +421,10 @@ class Specimen(Assembly):
         """
         old, state = self.pairs.bond, self.bonds.state
         self.pairs = find_pairs(self.grains, self.skin, self.pairs)
-        lost = np.setdiff1d(old[old >= 0], self.pairs.bond[self.pairs.bond >= 0])
-        if np.any(state[lost] == INTACT):
+        listed = np.zeros(len(state), dtype=bool)
+        listed[self.pairs.bond[self.pairs.bond >= 0]] = True
+        old = old[old >= 0]
+        if np.any(state[old[~listed[old]]] == INTACT):
             raise ModelError(
                 f"a bond was stretched by more than {self.skin:g} mean radii and did not break; "
                 "try a bond modulus that is higher against the strengths"

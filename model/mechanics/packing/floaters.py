@@ -18,7 +18,15 @@ from demflow.model.mechanics.contact.grains import Array
 NEIGHBOURS = 12  # nearest grains among which the three are sought
 LEAST = 0.05  # mean radii: no smaller grain is made; the floater stays
 TOUCH = 1e-9  # part of the radius by which a fitted grain falls short of its neighbours
+AT_ONCE = 32  # voids in which circles are sought at once; more would not stay in a cache
 TRIPLES = np.array(list(combinations(range(NEIGHBOURS), 3)))
+
+
+# A circle, x, y and radius, and the three that it touches; or none.
+Circle = tuple[float, float, float, tuple[int, ...]]
+
+# What was found in the void of a grain between some circles, both as bytes.
+Found = dict[tuple[int, bytes], Circle | None]
 
 
 def fit(x: Array, y: Array, radius: Array, floating: Array, box: Array) -> tuple[Array, Array]:
@@ -35,9 +43,10 @@ def fit(x: Array, y: Array, radius: Array, floating: Array, box: Array) -> tuple
     (a, b), each (k,): the contacts without force that this makes, a < b, sorted.
     """
     floating = floating.copy()
+    found: Found = {}
     while True:
         trial = x.copy(), y.copy(), radius.copy()
-        made, placed = _place(*trial, floating, box)
+        made, placed = _place(*trial, floating, box, found)
         floats = floating.copy()
         floats[placed] = False
         covered = np.flatnonzero(floats)[_covered(*trial, np.flatnonzero(floats), placed)]
@@ -58,85 +67,128 @@ def _covered(x: Array, y: Array, radius: Array, grains: Array, placed: Array) ->
 
 
 def _place(
-    x: Array, y: Array, radius: Array, floating: Array, box: Array
+    x: Array, y: Array, radius: Array, floating: Array, box: Array, found: Found
 ) -> tuple[list[tuple[int, int]], Array]:
-    """Fit floaters one after the other; returns the contacts made and the grains placed."""
+    """Fit floaters one after the other; returns the contacts made and the grains placed.
+
+    What was `found` in a void is not sought again while the same grains lie around.
+    """
     standing = np.flatnonzero(~floating)
     if len(standing) < NEIGHBOURS:
         return [], np.empty(0, np.int64)
     tree = cKDTree(np.column_stack([x[standing], y[standing]]))
     made: list[tuple[int, int]] = []
-    placed: list[int] = []
-    mean = radius.mean()
-    for grain in np.flatnonzero(floating):
-        # distances between rims decide; grains of unlike size need some more candidates
-        _, near = tree.query([x[grain], y[grain]], k=min(3 * NEIGHBOURS, len(standing)))
-        around = standing[near]
-        if placed:
-            close = np.array(placed)
-            apart = np.hypot(x[close] - x[grain], y[close] - y[grain])
-            around = np.r_[around, close[apart < 4.0 * mean]]
-        gap = np.hypot(x[around] - x[grain], y[around] - y[grain]) - radius[around]
-        around = around[np.argsort(gap, kind="stable")[:NEIGHBOURS]]
-        best = largest_circle(
-            x[around], y[around], radius[around], (x[grain], y[grain]), radius[grain]
-        )
+    mean, largest = radius.mean(), radius.max()
+    floats = np.flatnonzero(floating)
+    # distances between rims decide; grains of unlike size need some more candidates
+    _, near = tree.query(
+        np.column_stack([x[floats], y[floats]]), k=min(3 * NEIGHBOURS, len(standing))
+    )
+    near_own = zip(floats.tolist(), standing[near], strict=True)
+    nearest = [_nearest(grain, own, x, y, radius) for grain, own in near_own]
+    _seek(floats, nearest, x, y, radius, found)
+    room, count = np.empty(len(floats), dtype=np.int64), 0
+    for grain, own in zip(floats.tolist(), nearest, strict=True):
+        placed = room[:count]
+        apart = np.hypot(x[placed] - x[grain], y[placed] - y[grain])
+        around, close = own, placed[apart < 4.0 * mean]
+        if len(close):
+            around = _nearest(grain, np.concatenate([own, close]), x, y, radius)
+            _seek(np.array([grain]), [around], x, y, radius, found)
+        best = found[_key(grain, around, x, y, radius)]
         if best is None or best[2] < LEAST * mean:
             continue
         at_x, at_y, reach = best[:3]
-        others = np.r_[standing, np.array(placed, dtype=np.int64)]
+        reaches = tree.query_ball_point((at_x, at_y), reach + largest)
+        others = np.concatenate([standing[reaches], placed])
         gaps = np.hypot(x[others] - at_x, y[others] - at_y) - radius[others] - reach
         walls = np.array([at_x - box[0], box[1] - at_x, at_y - box[2], box[3] - at_y]) - reach
-        if gaps.min() < -1e-9 * mean or walls.min() < 0.0:
+        if gaps.min(initial=0.0) < -1e-9 * mean or walls.min() < 0.0:
             continue  # the circle leaves its void
         x[grain], y[grain], radius[grain] = best[0], best[1], best[2] * (1.0 - TOUCH)
         made += [(min(grain, k), max(grain, k)) for k in around[list(best[3])]]
-        placed.append(int(grain))
-    return made, np.array(placed, dtype=np.int64)
+        room[count] = grain
+        count += 1
+    return made, room[:count]
 
 
-def largest_circle(
-    x: Array, y: Array, radius: Array, at: tuple[float, float], reach: float
-) -> tuple[float, float, float, tuple[int, ...]] | None:
-    """The largest circle that touches three of the given ones and overlaps none, in a void.
+def _nearest(grain: int, some: Array, x: Array, y: Array, radius: Array) -> Array:
+    """Those of some grains whose rims are nearest to the centre of one."""
+    gap = np.hypot(x[some] - x[grain], y[some] - y[grain]) - radius[some]
+    return some[np.argsort(gap, kind="stable")[:NEIGHBOURS]]
 
-    The void is the one in which the point `at` lies: the circle's centre is no farther from it
+
+def _key(grain: int, around: Array, x: Array, y: Array, radius: Array) -> tuple[int, bytes]:
+    """What a circle in the void of a grain depends on."""
+    parts = (part.tobytes() for part in (around, x[around], y[around], radius[around]))
+    return int(grain), b"".join(parts)
+
+
+def _seek(
+    grains: Array, nearest: list[Array], x: Array, y: Array, radius: Array, found: Found
+) -> None:
+    """Add the largest circles in the voids of some grains to what was found."""
+    keys = [_key(g, a, x, y, radius) for g, a in zip(grains, nearest, strict=True)]
+    new = [k for k, key in enumerate(keys) if key not in found]
+    for first in range(0, len(new), AT_ONCE):
+        some = new[first : first + AT_ONCE]
+        g, a = np.array([grains[k] for k in some]), np.array([nearest[k] for k in some])
+        circles = largest_circles(x[a], y[a], radius[a], x[g], y[g], radius[g])
+        found.update(zip((keys[k] for k in some), circles, strict=True))
+
+
+def largest_circles(
+    x: Array, y: Array, radius: Array, at_x: Array, at_y: Array, reach: Array
+) -> list[Circle | None]:
+    """In each of g voids the largest circle that touches three of the given ones, overlapping none.
+
+    A void is the one in which the point `at` lies: the circle's centre is no farther from it
     than `reach`, and the circle is no larger than three times that, so that it is none that
-    encloses the others from outside. Returns (x, y, radius, the three), or None.
+    encloses the others from outside. Each is (x, y, radius, the three), or None.
 
     Parameters
     ----------
-    x : centres of the circles, (n,)
-    y : centres, (n,)
-    radius : radii, (n,)
-    at : a point in the void
-    reach : how far from it the centre may lie
+    x : centres of the circles around each void, (g, n)
+    y : centres, (g, n)
+    radius : radii, (g, n)
+    at_x, at_y : a point in each void, (g,)
+    reach : how far from it the centre may lie, (g,)
     """
-    i, j, k = TRIPLES[np.all(len(x) > TRIPLES, axis=1)].T
+    i, j, k = TRIPLES[np.all(x.shape[1] > TRIPLES, axis=1)].T
     # |c − c_i| = ρ + r_i for three: the differences of the squares are linear in (c, ρ)
-    a1, b1, d1 = x[j] - x[i], y[j] - y[i], radius[j] - radius[i]
-    a2, b2, d2 = x[k] - x[i], y[k] - y[i], radius[k] - radius[i]
-    s1 = 0.5 * (a1**2 + b1**2 - d1**2 - 2.0 * d1 * radius[i])
-    s2 = 0.5 * (a2**2 + b2**2 - d2**2 - 2.0 * d2 * radius[i])
+    xi, yi, ri = x[:, i], y[:, i], radius[:, i]
+    a1, b1, d1 = x[:, j] - xi, y[:, j] - yi, radius[:, j] - ri
+    a2, b2, d2 = x[:, k] - xi, y[:, k] - yi, radius[:, k] - ri
+    s1 = 0.5 * (a1**2 + b1**2 - d1**2 - 2.0 * d1 * ri)
+    s2 = 0.5 * (a2**2 + b2**2 - d2**2 - 2.0 * d2 * ri)
     det = a1 * b2 - a2 * b1
     with np.errstate(divide="ignore", invalid="ignore"):
         px, qx = (s1 * b2 - s2 * b1) / det, (d2 * b1 - d1 * b2) / det
         py, qy = (a1 * s2 - a2 * s1) / det, (a2 * d1 - a1 * d2) / det
         # (p + q ρ)² = (ρ + r_i)²
         a = qx**2 + qy**2 - 1.0
-        b = px * qx + py * qy - radius[i]
-        c = px**2 + py**2 - radius[i] ** 2
+        b = px * qx + py * qy - ri
+        c = px**2 + py**2 - ri**2
         root = np.sqrt(b * b - a * c)
-        rho = np.concatenate([c / (-b + root), c / (-b - root)])
-    triple = np.concatenate([np.arange(len(i))] * 2)
-    with np.errstate(invalid="ignore"):
-        cx = x[i][triple] + px[triple] + qx[triple] * rho
-        cy = y[i][triple] + py[triple] + qy[triple] * rho
-        free = np.hypot(cx[:, None] - x, cy[:, None] - y) - radius - rho[:, None]
-        good = (rho > 0.0) & (free.min(axis=1) > -1e-9 * radius.mean())
-        good &= (np.hypot(cx - at[0], cy - at[1]) <= reach) & (rho <= 3.0 * reach)
-    if not good.any():
-        return None
-    best = int(np.argmax(np.where(good, rho, -np.inf)))
-    t = triple[best]
-    return float(cx[best]), float(cy[best]), float(rho[best]), (int(i[t]), int(j[t]), int(k[t]))
+        rho = np.concatenate([c / (-b + root), c / (-b - root)], axis=1)
+        cx, cy = (
+            np.concatenate([from_ + p, from_ + p], axis=1) + np.concatenate([q, q], axis=1) * rho
+            for from_, p, q in ((xi, px, qx), (yi, py, qy))
+        )
+        off = np.hypot(cx - at_x[:, None], cy - at_y[:, None])
+        good = (rho > 0.0) & (off <= reach[:, None]) & (rho <= 3.0 * reach[:, None])
+    row, column = np.nonzero(good)
+    gap = np.hypot(cx[row, column, None] - x[row], cy[row, column, None] - y[row])
+    gap -= radius[row]
+    free = gap - rho[row, column, None]
+    keep = free.min(axis=1) > -1e-9 * radius.mean(axis=1)[row]
+    row, column = row[keep], column[keep]
+    size = np.full(rho.shape, -np.inf)
+    size[row, column] = rho[row, column]
+    found: list[Circle | None] = []
+    for g, best in enumerate(size.argmax(axis=1).tolist()):
+        t = best % len(i)
+        three = int(i[t]), int(j[t]), int(k[t])
+        circle = float(cx[g, best]), float(cy[g, best]), float(rho[g, best]), three
+        found.append(circle if np.isfinite(size[g, best]) else None)
+    return found
