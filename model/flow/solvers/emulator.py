@@ -33,6 +33,7 @@ from scipy.linalg import eigh
 from scipy.sparse import csr_array
 
 from demflow.model.flow.equation.problem import Answer, Problem, empty_answer
+from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, analyse, factorise, solve
 from demflow.model.flow.solvers.affine import Share, Terms
 from demflow.model.flow.solvers.contour import Contour, contour
@@ -69,6 +70,7 @@ NOTHING = 1e-9  # part of a vector that is round-off once the known part is take
 FAR = 1e-2
 MOST_REFERENCES = 4
 
+A_FEW = 3  # members that are looked at in one go to find the worst
 AT_ONCE = 16  # members that are answered at once: more would not stay in a cache
 
 
@@ -353,24 +355,57 @@ def build(terms: Terms, problem: Problem, members: list[Share], tolerance: float
     poles = SLOWEST / lag.max() * LADDER ** np.arange(np.ceil(steps) + 1)
     near = np.abs(np.log(around.radius[:, None] / poles)) <= 0.5 * np.log(LADDER)
     space.add(members[0], poles, IMAGES)
-    model = space.model()
+    looks = _Looks(problem, members, around, tolerance)
     while True:
-        found = list(emulated(model, problem, members, around))
-        # where it is round-off no vector helps
-        known = [0.0 if f.noise > 0.5 * MARGIN * tolerance else f.error for f in found]
-        at = int(np.argmax(known))
+        model, enough = space.model(), (1.0 if space.judged else MARGIN) * tolerance
+        at = looks.worst(model, enough)
         full = space.count > MOST_VECTORS or len(space.snapshots) > MOST_SNAPSHOTS
-        if known[at] <= (1.0 if space.judged else MARGIN) * tolerance or full:
+        if looks.error[at] <= enough or full:
             if space.judged:
-                return model._replace(largest_error=np.asarray(known[at]))
+                return model._replace(largest_error=np.asarray(looks.error[at]))
             space.judge()
         elif _reach(model, members[at]) < FAR and len(space.references) < MOST_REFERENCES:
             space.refer(members[at])
         else:
-            worst = next(emulated(model, problem, [members[at]], around, by_radius=True)).worst
-            needs = (near * worst[:, None]).max(axis=0)
+            needs = (near * looks.shares[at][:, None]).max(axis=0)
             space.add(members[at], poles[needs > WORTH * needs.max()], IMAGES)
-        model = space.model()
+
+
+# what flows and is stored by some vectors: at which unknowns, and how much (rows, k)
+_Moved = tuple[tuple[Any, np.ndarray], tuple[Any, np.ndarray]]
+
+
+class _Looks:
+    """Errors of some members, looked at no oftener than the choice of the worst asks for.
+
+    A space that grows makes errors smaller as a rule: a member whose error was less than that of
+    another when it was last looked at needs no look, but before all are said to be good.
+    """
+
+    def __init__(
+        self, problem: Problem, members: list[Share], around: Contour, tolerance: float
+    ) -> None:
+        self.problem, self.members, self.around = problem, members, around
+        self.noise = 0.5 * MARGIN * tolerance  # an error that no vector helps
+        self.error = np.full(len(members), np.inf)  # when each was last looked at
+        self.shares = np.empty((len(members), len(around.radius)))  # of each radius in that
+
+    def worst(self, model: Emulator, enough: float) -> int:
+        """The member of the largest error; all were looked at where that is `enough`."""
+        looked = np.zeros(len(self.members), dtype=bool)
+        while True:
+            at = int(np.argmax(self.error))
+            if looked[at] and (self.error[at] > enough or looked.all()):
+                return at
+            order = np.argsort(np.where(looked, -1.0, self.error))[::-1]
+            order = order[: np.count_nonzero(~looked)]
+            some = order if looked[at] or np.isinf(self.error[at]) else order[:A_FEW]
+            shares = [self.members[k] for k in some]
+            found = emulated(model, self.problem, shares, self.around, by_radius=True)
+            for k, one in zip(some, found, strict=True):
+                self.error[k] = 0.0 if one.noise > self.noise else one.error
+                self.shares[k] = one.worst
+            looked[some] = True
 
 
 class _Reference(NamedTuple):
@@ -395,6 +430,10 @@ class _Space:
         self.incidence = csr_array((np.append(ones, -ones), ends), shape=(system.n, len(edge)))
         count = len(terms.edge_g)
         self.acts = [np.flatnonzero(g) for g in terms.edge_g]
+        self.nets = [self.incidence[:, on] for on in self.acts]
+        pairs = zip(terms.edge_g, terms.fixed_g, strict=True)
+        self.where = [_rows(edge, fixed, system) for edge, fixed in pairs]
+        self.stores = [_most(c != 0.0) for c in terms.storage]
         self.wells = system.n - system.pores
         self.weight = system.storage  # of the inner product
         self.vectors = np.eye(system.n, self.wells, -system.pores)
@@ -461,48 +500,43 @@ class _Space:
     def _enter(self, fresh: np.ndarray) -> None:
         """Bring projections and what samples see up to date with the last vectors (n, k)."""
         first, every = self.count - fresh.shape[1], self.vectors
-        system, terms = self.terms.system, self.terms
-        sizes = (len(terms.edge_g), self.count, self.count)
+        sizes = (len(self.terms.edge_g), self.count, self.count)
         old_g, old_c = self.conductance, self.storage
         self.conductance, self.storage = np.zeros(sizes), np.zeros(sizes)
         known = old_g.shape[1]
         self.conductance[:, :known, :known], self.storage[:, :known, :known] = old_g, old_c
         fresh = every[:, known:] if known < first else fresh
-        for t, on in enumerate(self.acts):
-            i, j, g = system.edge_i[on], system.edge_j[on], terms.edge_g[t][on, None]
-            along = (every[i] - every[j]).T @ (g * (fresh[i] - fresh[j]))
-            node = system.fixed_node
-            along += every[node].T @ (terms.fixed_g[t][:, None] * fresh[node])
-            stored = every.T @ (terms.storage[t][:, None] * fresh)
-            for whole, part in ((self.conductance[t], along), (self.storage[t], stored)):
+        moved = [self._moved(term, fresh) for term in range(len(self.acts))]
+        for t, parts in enumerate(moved):
+            for whole, (rows, moves) in zip(
+                (self.conductance[t], self.storage[t]), parts, strict=True
+            ):
+                part = every[rows].T @ moves
                 whole[:, known:], whole[known:, :] = part, part.T
         for reference in self.references:
-            self._see(reference, fresh)
+            self._see(reference, moved)
 
-    def _see(self, reference: _Reference, fresh: np.ndarray) -> None:
-        """What the samples of a reference see of what flows and is stored by vectors (n, k)."""
+    def _see(self, reference: _Reference, moved: list[_Moved]) -> None:
+        """What the samples of a reference see of what flows and is stored by some vectors."""
         seen: tuple[list[Any], list[Any]] = ([], [])
-        for t in range(len(self.acts)):
-            flow = self._flow(t, fresh)
-            stored = self.terms.storage[t][:, None] * fresh
-            for into, whole in zip(seen, (flow, stored), strict=True):
-                acts = np.any(whole != 0.0, axis=1)
-                rows = np.flatnonzero(acts) if np.count_nonzero(acts) < 0.5 * len(acts) else ...
-                part = whole[rows]
-                into.append([z[rows].T @ part for z in reference.samples])
+        for parts in moved:
+            for into, (rows, moves) in zip(seen, parts, strict=True):
+                into.append([z[rows].T @ moves for z in reference.samples])
         reference.conductance.append(np.array(seen[0]))
         reference.storage.append(np.array(seen[1]))
 
-    def _flow(self, term: int, vectors: np.ndarray) -> np.ndarray:
-        """What flows out of each unknown by a term at pressures (n, k), m³/s."""
-        on, system = self.acts[term], self.terms.system
+    def _moved(self, term: int, vectors: np.ndarray) -> _Moved:
+        """What a term lets flow out of each unknown (m³/s) and has it store, at pressures (n, k).
+
+        Each with the unknowns that it acts on.
+        """
+        on, system, rows = self.acts[term], self.terms.system, self.where[term]
         g = self.terms.edge_g[term][on, None]
-        flow = self.incidence[:, on] @ (
-            g * (vectors[system.edge_i[on]] - vectors[system.edge_j[on]])
-        )
+        flow = self.nets[term] @ (g * (vectors[system.edge_i[on]] - vectors[system.edge_j[on]]))
         links = self.terms.fixed_g[term][:, None] * vectors[system.fixed_node]
         np.add.at(flow, system.fixed_node, links)
-        return np.asarray(flow)
+        holds = self.stores[term]
+        return (rows, flow[rows]), (holds, self.terms.storage[term][holds, None] * vectors[holds])
 
     def refer(self, share: Share) -> None:
         """Draw samples by which residuals are measured, of the matrices of one member."""
@@ -528,7 +562,8 @@ class _Space:
         ports = np.array([[z.T @ rows for z in samples] for rows in self.terms.ports])
         reference = _Reference(share, samples, [], [], ports)
         self.references.append(reference)
-        self._see(reference, self.vectors)
+        every = range(len(self.acts))
+        self._see(reference, [self._moved(term, self.vectors) for term in every])
 
     def judge(self) -> None:
         """Draw all samples anew, of which the space knows nothing."""
@@ -567,6 +602,21 @@ class _Space:
             reason=np.asarray(""),
             largest_error=np.asarray(np.inf),
         )
+
+
+def _rows(edge_g: np.ndarray, fixed_g: np.ndarray, system: System) -> np.ndarray | slice:
+    """The unknowns between which a term lets something flow; all of them where they are many."""
+    on = edge_g != 0.0
+    ends = (system.edge_i[on], system.edge_j[on], system.fixed_node[fixed_g != 0.0])
+    touched = np.zeros(system.n, dtype=bool)
+    touched[np.concatenate(ends)] = True
+    return _most(touched)
+
+
+def _most(acts: np.ndarray) -> np.ndarray | slice:
+    """Which of the unknowns (n,) bool; a slice of all where most of them are."""
+    rows = np.flatnonzero(acts)
+    return rows if len(rows) < 0.5 * len(acts) else slice(None)
 
 
 def _ragged(rows: list[np.ndarray]) -> np.ndarray:
