@@ -47,6 +47,7 @@ GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its g
 COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
 VERDICT_SECONDS = 0.3  # by which a nanny may be later than the scheduler with such news
 GONE = ("lost", "cancelled")  # of what was sent to a worker, as Dask says it
+START_SECONDS = 1.0  # s for which work has to wait for a further worker, about what one costs
 HEARD_SECONDS = 20.0  # s that the first stage run waits for other workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
 GREETINGS = 3  # workers that may fail to answer, or be too small to do so, in one run
@@ -147,6 +148,7 @@ class _Execution:
         self.started = False  # whether a stage run was handed out
         self.ending = False  # whether nothing is handed out any more
         self.begin = self.alive = self.advanced = time.monotonic()
+        self.sufficed = self.begin  # when there were as many workers as there was work for
         self.watched = 0.0  # s for which all workers together have stood
         self.own = agreed()
         self.first: float | None = None  # when the first worker was met
@@ -430,7 +432,11 @@ class _Execution:
                 self._look_at(address, listed.get(address), max(0.0, late), now)
             self._look_at_all(now)
             self.schedule.share_out(len(self.workers), self.judge.limits.time)
-            self.pool.ask_for(self.schedule.wanted())
+            wanted = self.schedule.wanted()
+            if wanted <= len(self.workers):
+                self.sufficed = now
+            elif now - self.sufficed >= START_SECONDS:
+                self.pool.ask_for(wanted)
             await asyncio.sleep(self.pool.look_every)
 
     def _look_at(
