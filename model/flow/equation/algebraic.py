@@ -19,23 +19,30 @@ class Algebraic(NamedTuple):
     """The wells that store nothing as functions of the unknowns that do."""
 
     inverse: np.ndarray  # (w, w) K_ww⁻¹
-    coupling: csr_array  # (w, pores) conductances G_wd > 0
+    near: np.ndarray  # (k,) pores that wells meet, of
+    pores: int  # unknowns that store
+    coupling: csr_array  # (w, k) conductances G_wd > 0
+
+    def follow(self, pores: np.ndarray) -> np.ndarray:
+        """Pressures of the wells that follow those of the pores (pores, …), (w, …)."""
+        found: np.ndarray = self.inverse @ (self.coupling @ pores[self.near])
+        return found
 
     def lift(self, pores: np.ndarray) -> np.ndarray:
         """Pores (pores, …) completed by the wells that follow them, (n, …)."""
         if len(pores) == 0:
             return np.zeros((len(self.inverse), *pores.shape[1:]))
-        return np.concatenate([pores, self.inverse @ (self.coupling @ pores)])
+        return np.concatenate([pores, self.follow(pores)])
 
     def reduce_source(self, rhs: np.ndarray) -> np.ndarray:
         """Source on the pores alone that acts as `rhs` (n,) does, (pores,)."""
-        pores = self.coupling.shape[1]
-        found: np.ndarray = rhs[:pores] + self.coupling.T @ (self.inverse @ rhs[pores:])
+        found = rhs[: self.pores].copy()
+        found[self.near] += self.coupling.T @ (self.inverse @ rhs[self.pores :])
         return found
 
     def direct(self, rhs: np.ndarray) -> np.ndarray:
         """What `rhs` (n,) adds to the wells by itself, (w,) Pa."""
-        found: np.ndarray = self.inverse @ rhs[self.coupling.shape[1] :]
+        found: np.ndarray = self.inverse @ rhs[self.pores :]
         return found
 
 
@@ -62,8 +69,8 @@ def algebraic(system: System) -> Algebraic:
             "a well, or a side with an inflow, touches no conducting pipe: move or widen the well, "
             "or give the matrix an aperture"
         )
+    near, place = np.unique(np.concatenate(columns), return_inverse=True)
     coupling = csr_array(
-        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))),
-        shape=(wells, pores),
+        (np.concatenate(values), (np.concatenate(rows), place)), shape=(wells, len(near))
     )
-    return Algebraic(np.linalg.inv(matrix) if wells else matrix, coupling)
+    return Algebraic(np.linalg.inv(matrix) if wells else matrix, near, pores, coupling)

@@ -329,12 +329,12 @@ class Growth:
     def _output_change(self, size: int, before: int) -> float:
         """Largest relative change of an output between two sizes."""
         now = self._seen(size)
-        change = np.abs(now - self._seen(before))
         if size not in self._scales:
-            self._scales[size] = self.problem.scale(self.source, now)
-        scale = self._scales[size]
-        counts = scale > 0.0
-        return float(np.max(change[counts] / scale[counts], initial=0.0))
+            scale = self.problem.scale(self.source, now)
+            self._scales[size] = np.where(scale > 0.0, scale, np.inf)
+        change = np.abs(now - self._seen(before))
+        change /= self._scales[size]
+        return float(change.max(initial=0.0))
 
     def _field_change(self, size: int, before: int) -> float:
         """Largest change of the field between two sizes over the largest field, in the C-norm."""

@@ -244,8 +244,7 @@ class Subspace:
         pores, m = self.system.pores, self.count
         self._space[:pores, :m] /= self.root[:, None]
         if self.system.n > pores:
-            lifted = self.wells.coupling @ self._space[:pores, :m]
-            self._space[pores:, :m] = self.wells.inverse @ lifted
+            self._space[pores:, :m] = self.wells.follow(self._space[:pores, :m])
         return self._space
 
     def _scale(self) -> None:
