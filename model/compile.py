@@ -35,7 +35,14 @@ def kernel(function: Function) -> Function:
     """Compile a function of numbers and arrays to machine code, cached on disk."""
     compiled: Any = _jitted(function)
     if compiled is not function:  # NUMBA_DISABLE_JIT leaves it as it is
-        compiled._cache = LateCache(function)
+        compiled._cache = cache = LateCache(function)
+        compile_ = compiled.compile
+
+        def alone(signature: Any) -> Any:
+            with cache.alone():  # processes that want the same kernel compile it once
+                return compile_(signature)
+
+        compiled.compile = alone
     return cast("Function", compiled)
 
 

@@ -28,6 +28,8 @@ import numba
 import numpy as np
 from numba.core import caching
 
+from demflow.model.compilation import compilation
+
 PACKAGE = __name__.rpartition(".")[0]  # kernels name nothing of ours outside it
 
 
@@ -221,6 +223,25 @@ class LateCache:
     def __init__(self, function: Callable[..., Any]):
         self._function = function
         self._made: KernelCache | None = None
+
+    @contextmanager
+    def alone(self) -> Iterator[None]:
+        """Within this no other process compiles the kernel; what one has made is there then.
+
+        To wait counts as compiling: it is no stage's time.
+        """
+        folder = cache_folder()
+        folder.mkdir(parents=True, exist_ok=True)
+        with (folder / f"{self._impl.locator.get_disambiguator()}.lock").open("w") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                compilation.start()
+                try:
+                    fcntl.flock(file, fcntl.LOCK_EX)
+                finally:
+                    compilation.end()
+            yield
 
     def __getattr__(self, name: str) -> Any:
         if self._made is None:

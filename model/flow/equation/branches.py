@@ -66,7 +66,7 @@ def branches(
                 for f, w in zip(far, wall, strict=True)
             ]
             parts.append((ends[0][outside], ends[1][outside], g[ours] / share, *pairs))
-        rest = np.setdiff1d(np.arange(len(a)), meets)
+        rest = np.flatnonzero(~(low < high))
         whole = [(a[rest], b[rest], g[rest], x[rest], y[rest]), *parts]
         a, b, g, x, y = (np.concatenate(column) for column in zip(*whole, strict=True))
     return a, b, g

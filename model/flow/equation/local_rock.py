@@ -66,11 +66,10 @@ def mobility_around(
     if not whole:
         measured &= off_rim
 
-    rock = (apertures.on_fracture < 0) & (apertures.conductance > 0.0)
-    rock &= network.inside[network.pipe_from] & network.inside[network.pipe_to]
-    i, j, g = network.pipe_from[rock], network.pipe_to[rock], apertures.conductance[rock]
-    touches = (node[i] >= 0) | (node[j] >= 0)
-    i, j, g = i[touches], j[touches], g[touches]
+    pipe = np.flatnonzero((node[network.pipe_from] >= 0) | (node[network.pipe_to] >= 0))
+    i, j, g = network.pipe_from[pipe], network.pipe_to[pipe], apertures.conductance[pipe]
+    rock = (apertures.on_fracture[pipe] < 0) & (g > 0.0) & network.inside[i] & network.inside[j]
+    i, j, g = i[rock], j[rock], g[rock]
     i, j = np.where(node[i] >= 0, i, j), np.where(node[i] >= 0, j, i)
     within = node[j] >= 0
     cut = (node[network.cut_inside] >= 0) & (apertures.on_fracture[network.cut] < 0)
