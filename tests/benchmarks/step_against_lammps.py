@@ -13,7 +13,7 @@ from tests.peers.lammps import lammps_steps
 from tests.peers.yade import PeerMissingError
 
 SIZES = (5_000, 50_000)
-BOUND = 0.45
+BOUND = 0.28
 
 
 def run() -> Result:
