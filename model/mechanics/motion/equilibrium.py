@@ -234,6 +234,41 @@ def advance(  # noqa: C901 (a kernel)
     return end, taken, run, sums
 
 
+def forces(
+    grains: Grains,
+    pairs: Pairs,
+    bonds: BondState,
+    joints: JointState,
+    law: Law,
+    box: Array,
+    *,
+    step: int = 0,
+    dt: float = 0.0,
+) -> Sums:
+    """Set the forces of all grains in the present state, which stays; as `contact_forces` does.
+
+    By the loop that steps, of which none is taken, so that a fresh machine compiles the laws of
+    contact once.
+
+    Parameters
+    ----------
+    grains : the grains (n,), in units of mean radius and k_n
+    pairs : pairs of grains near each other, (m,)
+    bonds : bonds (b,)
+    joints : contacts (j,) across joints
+    law : law of contact, a named tuple that chooses what is done by its type
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    step : number of the step that led here
+    dt : its time step, by which shear forces grow with the velocities
+    """
+    run = Run(Fire(TIME_STEP, START_MIXING, 0), step=step, dt=dt)
+    found: Sums = advance(
+        grains, pairs, bonds, joints, law, Walls(box), STANDING, NEVER, run, TIME_STEP, 0.0,
+        np.inf, 0.0, 0, np.zeros((2, 4)), None,
+    )[3]  # fmt: skip
+    return found
+
+
 @dataclass
 class Assembly(ABC):
     """Grains that are brought to rest; what bounds them, walls or a cell, is up to the kind."""

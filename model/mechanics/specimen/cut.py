@@ -13,10 +13,9 @@ import copy
 import numpy as np
 from scipy.spatial import Delaunay
 
-from demflow.model.mechanics.contact.contacts import contact_forces
 from demflow.model.mechanics.contact.grains import Array, at_rest
 from demflow.model.mechanics.contact.neighbours import Pairs
-from demflow.model.mechanics.motion.equilibrium import Specimen
+from demflow.model.mechanics.motion.equilibrium import Specimen, forces
 from demflow.model.mechanics.specimen.measures import listed, overlaps
 from demflow.model.region import Region, contains
 
@@ -100,9 +99,9 @@ def _inside(specimen: Specimen, region: Region) -> Array:
 
 def _forces(specimen: Specimen) -> Array:
     """Forces and torques (n, 3) in the present state; nothing moves."""
-    specimen.sums = contact_forces(
+    specimen.sums = forces(
         specimen.grains, specimen.pairs, specimen.bonds, specimen.joints, specimen.law,
-        specimen.box, specimen.run.step, 0.0, 0.0, 0.0, None,
+        specimen.box, step=specimen.run.step,
     )  # fmt: skip
     grains = specimen.grains
     return np.column_stack([grains.fx, grains.fy, grains.torque])

@@ -13,10 +13,10 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from demflow.model.mechanics.contact.bonds import INTACT, BondState
-from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums, contact_forces
+from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.law import Law, presses
-from demflow.model.mechanics.motion.equilibrium import Specimen
+from demflow.model.mechanics.motion.equilibrium import Specimen, forces
 from demflow.model.mechanics.specimen.measures import listed
 from demflow.model.mechanics.static.load_carrying import load_carrying
 from demflow.model.mechanics.static.walls import INWARD
@@ -158,11 +158,9 @@ class FrictionalTrial(Trial):
         specimen = self.specimen
         specimen.pairs.shear[:] = self.shear
         bonds.shear[:], bonds.moment[:] = self.memory
-        sums: Sums = contact_forces(
-            self.grains, specimen.pairs, bonds, specimen.joints, specimen.law, NO_WALLS,
-            0, 1.0, 0.0, 0.0, None,
-        )  # fmt: skip
-        return sums
+        return forces(
+            self.grains, specimen.pairs, bonds, specimen.joints, specimen.law, NO_WALLS, dt=1.0
+        )
 
 
 def unbreakable(bonds: BondState) -> BondState:
