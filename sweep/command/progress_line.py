@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 import time
 from typing import TextIO
@@ -10,13 +11,15 @@ from typing import TextIO
 from demflow.sweep.execution.progress import Progress
 
 WAITING_SECONDS = 2.0  # s without any worker before that is told
+BAR = 20  # characters of the bar
 STILL_SECONDS = 30.0  # s without progress before that is told
 
 
 class ProgressLine:
-    """Writes `Progress` to a stream: in place on a terminal, now and then elsewhere.
+    """Writes `Progress` to a stream: in place on a terminal with a bar, now and then elsewhere.
 
-    Colours are used on a terminal only, and not where NO_COLOR is set.
+    Colours are used on a terminal only, and not where NO_COLOR is set. A line that is wider than
+    the terminal would leave pieces of itself behind: the bar goes first, then the end of the text.
     """
 
     def __init__(self, stream: TextIO | None = None, every: float = 15.0):
@@ -39,6 +42,7 @@ class ProgressLine:
         if not self.in_place:
             print(text, file=self.stream, flush=True)
             return
+        text = self._fitted(progress, text)
         padding = " " * max(self._width - len(text), 0)
         self._width = len(text)
         if self.coloured and progress.failed:
@@ -46,11 +50,29 @@ class ProgressLine:
             text = text.replace(failed, f"\033[31m{failed}\033[0m")
         print(f"\r{text}{padding}", end="", file=self.stream, flush=True)
 
+    def _fitted(self, progress: Progress, text: str) -> str:
+        """The line with its bar, or what of it the terminal has room for."""
+        room = shutil.get_terminal_size().columns - 1
+        if len(text) + BAR + 1 <= room:
+            return f"{bar(progress, getattr(self.stream, 'encoding', None))} {text}"
+        return text if len(text) <= room else text[: room - 3] + "..."
+
     def close(self) -> None:
         """End the line that was written in place."""
         if self.in_place and self._width:
             print(file=self.stream, flush=True)
             self._width = 0
+
+
+def bar(progress: Progress, encoding: str | None) -> str:
+    """How many of the cases have ended, in `BAR` characters that a stream can write."""
+    try:
+        full, empty = "█░"
+        (full + empty).encode(encoding or "ascii")
+    except (UnicodeEncodeError, LookupError):
+        full, empty = "#-"
+    ended = BAR * (progress.cases - progress.left) // max(progress.cases, 1)
+    return full * ended + empty * (BAR - ended)
 
 
 def line(progress: Progress) -> str:

@@ -15,7 +15,7 @@ import pytest
 
 from demflow.sweep import prepared
 from demflow.sweep.command import cli, forecast
-from demflow.sweep.command.progress_line import ProgressLine, duration, line, size
+from demflow.sweep.command.progress_line import ProgressLine, bar, duration, line, size
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.execution.progress import Progress
 from demflow.sweep.store.lock import FolderLock
@@ -308,6 +308,25 @@ def test_progress_in_place_and_in_a_log(monkeypatch):
         assert screen.getvalue().count("\r") == 3
         assert screen.getvalue().count("\n") == 1
         assert ("\033[31m" in screen.getvalue()) is not no_colour
+        assert "##########----------" in screen.getvalue()  # 4 of 8; no encoding but ASCII is known
+    assert bar(states[2], "utf-8") == "█" * 20
+    assert bar(states[0], "latin-1") == "-" * 20
+
+
+@pytest.mark.parametrize("columns", [30, 60, 100])
+def test_a_line_in_place_never_wraps(columns, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("NO_COLOR", "1")
+    screen = Terminal()
+    in_place = ProgressLine(screen)
+    in_place.every = 0.0
+    for done in (0, 3, 900):
+        in_place(Progress(1000, done, 1, 61.0, still=40.0, workers=12, deaths=3))
+    written = screen.getvalue().split("\r")[1:]
+    assert len(written) == 3
+    assert all(len(one) < columns for one in written)
+    in_place(Progress(10, 9, 0, 61.0))
+    assert ("#" in screen.getvalue()) is (columns == 100)
 
 
 @pytest.mark.parametrize(
