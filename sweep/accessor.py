@@ -17,7 +17,7 @@ import xarray as xr
 from demflow.model.outcome import Status
 from demflow.model.transient import SMOOTHING, bourdet_derivative
 from demflow.sweep.analysis.cases import Index, case_title, done, events
-from demflow.sweep.analysis.permeability import principal_permeability
+from demflow.sweep.analysis.permeability import ensemble, principal_permeability
 from demflow.sweep.analysis.sensitivity import sensitivity
 from demflow.sweep.dataset.open import open_results, same_value
 from demflow.sweep.dataset.ragged import count_name
@@ -60,6 +60,24 @@ class Results:
             if set(status.dims) <= set(variable.dims) and variable.dtype.kind == "f"
         }
         return self._dataset.assign(kept)
+
+    def ensemble(self, name: str, axis: str) -> xr.Dataset:
+        """Return the mean of a result over packings, its standard error, and their spread.
+
+        Parameters
+        ----------
+        name : of the result, such as `well_pressure`.
+        axis : along which cases differ in chance alone, such as seeds of packings.
+
+        Of the cases that are done; see `sweep.analysis.permeability.ensemble`. Raises ResultsError
+        where there is no such result, or where it does not lie along the axis.
+        """
+        values = self._variable(name)
+        if axis not in values.dims:
+            along = ", ".join(map(str, values.dims)) or "nothing"
+            raise ResultsError(f"{name} lies along {along}, not along {axis!r}")
+        done = self._variable("status") == Status.DONE
+        return ensemble(values.where(done), axis)
 
     def derivative(self, smoothing: float = SMOOTHING) -> xr.DataArray:
         """Return Bourdet's derivative of `pressure_change` by the logarithm of elapsed time, Pa.

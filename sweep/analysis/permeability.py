@@ -40,7 +40,8 @@ def ensemble(values: xr.DataArray, axis: str) -> xr.Dataset:
     """Mean and spread along an ensemble axis, cases without a result left out.
 
     Returns `mean`, `spread` (standard deviation of the members, n − 1 in the divisor; NaN
-    for one member), `least`, `greatest` and `members` (how many counted).
+    for one member), `standard_error` (of the mean: spread / √n), `least`, `greatest` and
+    `members` (how many counted).
     """
     members = values.notnull().sum(axis)
     mean = values.mean(axis)
@@ -49,6 +50,7 @@ def ensemble(values: xr.DataArray, axis: str) -> xr.Dataset:
     result: dict[str, xr.DataArray] = {
         "mean": mean,
         "spread": spread,
+        "standard_error": spread / members**0.5,
         "least": values.min(axis),
         "greatest": values.max(axis),
     }

@@ -44,6 +44,23 @@ def test_the_derivative_of_a_logarithm_is_its_slope():
     assert found.attrs["units"] == "Pa"
 
 
+def test_an_ensemble_has_the_mean_of_what_is_done_and_its_standard_error():
+    """Over many draws of members, the mean lies as far off as the standard error says."""
+    chance = np.random.default_rng(4)
+    status = np.where(chance.random((400, 40)) < 0.8, Status.DONE, Status.FAILED)
+    drop = chance.normal(3.0, 0.7, (400, 40))
+    drop[status != Status.DONE] = 1e9
+    axes = ("angle", "packing")
+    dataset = xr.Dataset({"status": (axes, status), "drop": (axes, drop, {"units": "Pa"})})
+    found = dataset.demflow.ensemble("drop", "packing")
+    off = (found["mean"] - 3.0) / found["standard_error"]
+    assert float((off**2).mean()) == pytest.approx(1.0, abs=0.25)
+    assert (found["members"] == (status == Status.DONE).sum(axis=1)).all()
+    assert found["standard_error"].attrs["units"] == "Pa"
+    with pytest.raises(ResultsError, match="lies along angle, packing, not along 'seed'"):
+        dataset.demflow.ensemble("drop", "seed")
+
+
 def test_a_derivative_is_of_one_flow_period():
     dataset = with_rates()
     dataset.demflow.derivative()

@@ -179,6 +179,12 @@ def test_names_of_the_dataset_are_taken(tmp_path, name):
     assert f"axis '{name}': the dataset uses this name itself" in found
 
 
+@pytest.mark.parametrize("name", ["method", "tolerance", "drop"])
+def test_an_axis_that_could_not_be_selected_by_its_name(tmp_path, name):
+    (found,) = problems(tmp_path, SMALL.replace("  yy: {", f"  {name}: {{"))
+    assert f"'{name}' cannot be told from an argument of xarray's sel" in found
+
+
 @pytest.mark.parametrize("name", ["a-b", "1a", "a b", "é", "_x"])
 def test_names_of_axes_are_identifiers(tmp_path, name):
     (found,) = problems(tmp_path, SMALL.replace("  yy: {", f"  {name}: {{"))
