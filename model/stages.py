@@ -517,7 +517,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="consolidate",
         function="demflow.model.coupling.consolidation:consolidate",
-        version=4,
+        version=5,
         parents=("pack", "network", "open"),
         reads={
             "region": lambda s: s.rock,

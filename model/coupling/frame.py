@@ -48,10 +48,10 @@ class Frame(NamedTuple):
     contacts: Contacts
     springs: tuple[Array, Array]  # (c,) normal and shear stiffness of the contacts over k_n
 
-    def moved(self, force: Array) -> Array:
+    def moved(self, force: Array, refinements: int = REFINEMENTS) -> Array:
         """Displacements (m,) under forces (m,)."""
         found = solve(self.factor, force)
-        for _ in range(REFINEMENTS):
+        for _ in range(refinements):
             found += solve(self.factor, force - self.stiffness @ found)
         return found
 

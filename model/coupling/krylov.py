@@ -121,7 +121,7 @@ class Space:
             vector = vector - self.pressure @ (self._stored[:, :k].T @ vector)
         if float(np.linalg.norm(vector)) < NOTHING:
             return False
-        moved = self.rock.frame.moved(self.rock.squeeze @ vector)
+        moved = self.rock.frame.moved(self.rock.squeeze @ vector, 0)  # the factor is exact enough
         stored = self.rock.stored(vector, moved)
         norm = math.sqrt(max(float(vector @ stored), 0.0))
         if norm == 0.0:
