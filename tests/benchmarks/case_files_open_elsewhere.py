@@ -19,9 +19,11 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +53,7 @@ def run() -> Result:
         raise PeerMissingError("xugrid, uxarray and VTK are not installed: make peers")
     if shutil.which("cdo") is None or subprocess.run([system, "-c", "import qgis"]).returncode:
         raise PeerMissingError("apt-get install python3-qgis qgis-providers cdo")
+    jobs = [(python, (reader,)) for reader in OF_PYPI] + [(system, OF_THE_SYSTEM)]
     faults: Counter[str] = Counter()
     counts: Counter[str] = Counter()
     named = os.environ.get("STUDIES", "").split()
@@ -67,7 +70,10 @@ def run() -> Result:
                     sweep.write_case(case, files / f"{name}.nc")
                     sweep.write_case(case, files / f"{name}.pvd")
                 case.to_netcdf(files / f"{name}_as_opened.nc")
-            found = _told(python, files, OF_PYPI) | _told(system, files, OF_THE_SYSTEM)
+            with ThreadPoolExecutor(2) as pool:
+                all_told = pool.map(_told, *zip(*jobs, strict=True), itertools.repeat(files))
+                found = {reader: told for one in all_told for reader, told in one.items()}
+            print(f"{study.stem}: {len(cases)} cases read", file=sys.stderr, flush=True)
         for reader, told in found.items():
             for name, one in told.items():
                 case = cases[name.removesuffix("_as_opened")]
@@ -99,7 +105,7 @@ def _cases(folder: Path) -> Iterator[tuple[str, xr.Dataset]]:
             return
 
 
-def _told(python: Path | str, folder: Path, readers: tuple[str, ...]) -> dict[str, Any]:
+def _told(python: Path | str, readers: tuple[str, ...], folder: Path) -> dict[str, Any]:
     """What readers told of all files of a folder."""
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     told = subprocess.run(
