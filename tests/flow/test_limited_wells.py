@@ -132,6 +132,7 @@ def test_a_well_that_could_only_turn_round_is_shut():
     assert history.limited.all()
 
 
+@pytest.mark.slow
 def test_a_group_has_one_pressure_and_the_sum_of_the_rates():
     wells = (producer(rate=RATE, group="g"), injector(rate=0.0, group="g"))
     responses = ROCK.respond(wells, ("left",), TIMES, tolerance=1e-8)
@@ -145,6 +146,7 @@ def test_a_group_has_one_pressure_and_the_sum_of_the_rates():
     assert steady["well_rate"].sum() == pytest.approx(RATE, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_group_shares_its_rate_whichever_of_its_wells_is_asked_for_it():
     def answered(*rates):
         wells = tuple(
@@ -183,7 +185,7 @@ def test_volumes_balance_where_a_limit_decides_the_rate(times):
     seen = simulate(
         Scene(
             region=Rectangle(20.0, 16.0),
-            grains=Grains(count=300, porosity=0.17),
+            grains=Grains(count=150, porosity=0.17),
             matrix=Matrix(permeability=1e-13),
             fluid=Fluid(1e-3, 2e9),
             wells=(producer(schedule=told, least_pressure=9.98e6),),
@@ -197,6 +199,7 @@ def test_volumes_balance_where_a_limit_decides_the_rate(times):
     assert seen["mass_balance_error"] < 1e-12
 
 
+@pytest.mark.slow
 def test_a_group_has_the_narrowest_limits_of_its_wells():
     wells = (
         producer(rate=RATE, group="g", least_pressure=9e6),

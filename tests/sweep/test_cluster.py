@@ -42,10 +42,10 @@ def cluster(tmp_path_factory):
 def test_a_cluster_gives_the_same_bits_and_keeps_no_product(cluster, tmp_path):
     address, folder = cluster.address, cluster.folder
     rates = (*RATES, toy_stages.RAISES, toy_stages.DIES)
-    path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(5e6,), rates=rates)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(5e6,), rates=rates)
     here = toys.run(path, tmp_path / "here")
     there = toys.run(path, tmp_path / "there", scheduler=address)
-    assert (there.failed, there.cases) == (here.failed, here.cases) == (4, 12)
+    assert (there.failed, there.cases) == (here.failed, here.cases) == (2, 6)
     assert there.executed.computed == here.executed.computed
     assert_same_bits(here.folder, there.folder)
     assert toys.run(path, tmp_path / "there").executed is None  # all lies at the client
