@@ -46,6 +46,10 @@ WAITS = 4  # iterations in which it has to come closer by half where a shorter s
 OILS = (0.3, 0.1, 0.1, 0.03, 0.03, 0.01, 0.01, 0.01, 3e-3, 3e-3, 3e-3)  # grips, over k_n
 THICKENED = 12  # times that it may be made thicker again
 SETTLED = 1e-3  # force that they still bear, over the mean contact force
+MOST_TURNS = 40  # of the limits of friction
+MOST_DOWNHILL = 60  # steps of one turn
+HALVED = 12  # times that one of them is shortened
+FLAT = 0.1  # slope of the energy at its end, over that at its start
 LONGEST = 0.1  # mean radii by which an iteration moves grains at most
 
 
@@ -266,6 +270,80 @@ def balanced(
         strict = float(np.clip(0.1 * (off / were[-1]) ** 2, EQUATION, LOOSEST))
         were.append(off)
     return closest
+
+
+def by_turns(
+    case: Case, hold: Hold, u: Array, p: Array, mass: Array, fluid: Fluid, vapour: Array
+) -> Balanced:  # fmt: skip
+    """The state after a step that Newton's method alone does not find, limits of friction by turns.
+
+    With the limits of friction, what slip lifts and the conductances as they were in the turn
+    before, forces are the slope of a convex energy: the way down is followed to where the energy
+    turns, so that it always ends. Limits that depend on what they bring about settle in some turns
+    (Panagiotopoulos 1975, Ing.-Arch. 44, 421). From there Newton's method goes on by itself.
+
+    Parameters
+    ----------
+    case, hold, u, p, mass, fluid, vapour : as for `balanced`
+    """
+    s = case.skeleton
+    now = borne(s, hold, u)
+    limit, slid = s.friction * now.normal, now.slid
+    for _ in range(MOST_TURNS):
+        held = s._replace(
+            friction=np.zeros_like(limit), dilation=np.zeros_like(limit), adhesion=limit
+        )
+        lifted = hold._replace(overlap=hold.overlap + s.dilation * slid)
+        moved = flow(case, hold, borne(s, hold, u), p)
+        u, p, found = _downhill(
+            case._replace(skeleton=held), lifted, moved.conductance, u, p, mass, fluid, vapour
+        )
+        was, limit, slid = limit, s.friction * found.normal, found.slid
+        unit = max(float(np.mean(np.abs(found.force))), 1e-300)
+        if float(np.abs(limit - was).max(initial=0.0)) <= ENOUGH * unit:
+            break
+    return balanced(case, hold, u, p, mass, fluid, vapour)
+
+
+def _downhill(
+    case: Case, hold: Hold, conductance: Array, u: Array, p: Array, mass: Array, fluid: Fluid,
+    vapour: Array,
+) -> tuple[Array, Array, Borne]:  # fmt: skip
+    """The lowest energy of a case without friction's coupling, pressures with it."""
+    s, c, m, keeps = case.skeleton, case.conduits, len(u), fluid.held | vapour
+    pipes = len(c.i)
+    beside = csr_array((m + len(p), m + len(p)))
+
+    def state(u: Array, p: Array) -> tuple[Borne, Array]:
+        found = borne(s, hold, u)
+        moved = conductance[:pipes] * (p[c.i] - p[c.j])
+        link = conductance[pipes:] * (p[c.link] - c.link_pressure)
+        net = fluid.dt * (net_inflow(case, moved, link) + fluid.inflow)
+        lack = mass + net - case.storage * p - case.pull @ u
+        lack[keeps] = 0.0
+        return found, np.append(case.load + forces(s, hold, found, u) + case.push @ p, -lack)
+
+    found, residual = state(u, p)
+    for _ in range(MOST_DOWNHILL):
+        unit = max(float(np.mean(np.abs(found.force))), 1e-300)
+        if float(np.abs(residual).max(initial=0.0)) <= TOLERANCE * unit:
+            break
+        stiffnesses = np.concatenate([found.kn, found.ks, found.km, hold.grip])
+        upper = case.matrix.entries(stiffnesses, fluid.dt * conductance, keeps)
+        step = case.matrix.solve(upper, beside, residual, EQUATION)
+        step[m:][keeps] = 0.0
+        step[:m] = np.clip(step[:m], -LONGEST, LONGEST)  # what hangs free would go far
+        fall, low, high, share = float(step[:m] @ residual[:m]), 0.0, 1.0, 1.0
+        for _ in range(HALVED):  # to where the energy's slope has turned, nearly
+            to = u + share * step[:m], p + share * step[m:]
+            found, tried = state(*to)
+            slope = float(step[:m] @ tried[:m])
+            if abs(slope) <= FLAT * abs(fall) or (share == 1.0 and slope > 0.0):
+                break
+            low, high = (share, high) if slope > 0.0 else (low, share)
+            share = 0.5 * (low + high)
+        (u, p), residual = to, tried
+    return u, p, found
 
 
 def through_oil(

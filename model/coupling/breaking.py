@@ -22,7 +22,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from demflow.model.coupling.balance import Balanced, Fluid, balanced, flow, through_oil
+from demflow.model.coupling.balance import Balanced, Fluid, balanced, by_turns, flow, through_oil
 from demflow.model.coupling.setting import Setting
 from demflow.model.coupling.skeleton import (
     FIRM,
@@ -199,7 +199,7 @@ class March:
         hold: Hold | None = None,
         patient: bool = True,
     ) -> Balanced:
-        """The balance after a step; where it is not found at once, by way of thicker oil.
+        """The balance after a step; where not found at once, by turns, then through thicker oil.
 
         A shorter step is often found where a longer one is not, so that one that is not `patient`
         ends early and without that.
@@ -211,6 +211,10 @@ class March:
         now = balanced(self.case, first, u, p, mass, fluid, state.vapour, patient=patient)
         if now.reached or not patient:
             return now
+        if hold is None:  # once cement broke, rock that only friction holds comes apart
+            turned = by_turns(self.case, first, state.u, p, mass, fluid, state.vapour)
+            if turned.reached:
+                return turned
         return through_oil(self.case, first, state.u, state.p, mass, fluid, state.vapour, now)
 
     def _step(self, state: State, fluid: Fluid, wells: Wells) -> State:

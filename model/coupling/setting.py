@@ -22,6 +22,7 @@ from demflow.model.coupling.balance import (
     Conduits,
     Fluid,
     balanced,
+    by_turns,
     through_oil,
 )
 from demflow.model.coupling.duality import place_of, pores_of, volume_gradient
@@ -259,6 +260,8 @@ def at_rest(case: Case, hold: Hold, u: Array) -> Balanced:
     keeps = np.empty(0, bool)
     fluid = Fluid(0.0, none, keeps)
     found = balanced(case, hold, u, none, none, fluid, keeps)
+    if not found.reached:
+        found = by_turns(case, hold, u, none, none, fluid, keeps)
     if found.reached:
         return found
     return through_oil(case, hold, u, none, none, fluid, keeps, found, patience=PATIENCE)

@@ -55,6 +55,7 @@ class Skeleton(NamedTuple):
     kn: Array  # (c,) of the grains
     ks: Array
     friction: Array
+    adhesion: Array  # shear that holds beside friction, where grains press on each other
     dilation: Array  # opening per slip
     cn: Array  # (c,) of the cement
     cs: Array
@@ -145,6 +146,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
         "kn": kn,
         "ks": ks,
         "friction": np.full(c, law.friction),
+        "adhesion": np.zeros(c),
         "dilation": np.zeros(c),
         "cn": filled(bonds.kn[of] if parallel else law.kn),
         "cs": filled(bonds.ks[of] if parallel else law.ks),
@@ -187,6 +189,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
             "kn": joints.kn,
             "ks": joints.ks,
             "friction": joints.friction,
+            "adhesion": zero,
             "dilation": joints.dilation,
             "cn": np.where(held, joints.kn, 0.0),
             "cs": np.where(held, joints.ks, 0.0),
@@ -325,21 +328,27 @@ def borne(skeleton: Skeleton, hold: Hold, u: Array) -> Borne:
     part, slide, bend = s.parting @ u, s.sliding @ u, s.bending @ u
     intact = hold.mode == INTACT
     overlap = hold.overlap - part
-    closed = (s.beside | ~intact) & (overlap > 0.0)
+    trial = hold.shear - s.ks * (slide - hold.slid)
+    # what dilates as it slides stays closed as far as its own slip lifts it, once it was closed
+    lifts = (s.dilation > 0.0) & ((hold.shear != 0.0) | ((hold.slid == 0.0) & (hold.overlap > 0.0)))
+    reach = np.zeros(len(trial))
+    reach[lifts] = (s.dilation * np.abs(trial) / np.maximum(s.ks, 1e-300))[lifts]
+    closed = (s.beside | ~intact) & (overlap + reach > 0.0)
     normal = np.where(closed, s.kn * overlap, 0.0)
-    trial = np.where(closed, hold.shear - s.ks * (slide - hold.slid), 0.0)
-    slips = closed & (np.abs(trial) > s.friction * normal)
+    trial = np.where(closed, trial, 0.0)
+    slips = closed & (np.abs(trial) > s.friction * normal + s.adhesion)
     sense = np.sign(trial)
-    # slip takes from the shear and, where it dilates, adds to the normal force until T = μ N
+    # slip takes from the shear and, where it dilates, adds to the normal force until T = μ N + c
     lifted = s.kn * s.dilation
     gives = s.ks + s.friction * lifted
     slid = np.zeros(len(trial))
-    slid[slips] = ((np.abs(trial) - s.friction * normal) / np.maximum(gives, 1e-300))[slips]
+    over = np.abs(trial) - s.friction * normal - s.adhesion
+    slid[slips] = (over / np.maximum(gives, 1e-300))[slips]
     normal = normal + lifted * slid
     part_of = np.divide(s.ks, gives, out=np.ones(len(gives)), where=slips & (s.dilation > 0.0))
     kn = np.where(closed, s.kn * part_of, 0.0)
     ks = np.where(closed, np.where(slips, s.friction * lifted * part_of, s.ks), 0.0)
-    limit = s.friction * normal
+    limit = s.friction * normal + s.adhesion
     return Borne(
         part=part,
         slide=slide,

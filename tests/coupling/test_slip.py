@@ -5,13 +5,25 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from demflow.model.analytic.mohr_coulomb import slip_pressure
 from demflow.model.coupling.balance import openings
 from demflow.model.coupling.setting import setting
 from demflow.model.coupling.skeleton import SLID, borne, forces, remembered, slide_factors
 from demflow.model.region import Rectangle
-from demflow.model.scene import Bonds, Fluid, Grains, Joint, Matrix, Scene, Stress, Trace, Well
+from demflow.model.scene import (
+    Bonds,
+    Fluid,
+    FractureSet,
+    Grains,
+    Joint,
+    Matrix,
+    Scene,
+    Stress,
+    Trace,
+    Well,
+)
 from demflow.model.scene.coupling import Coupling
 from demflow.model.stages import STAGES, run_stages, simulate
 from tests.coupling.bored import joint, packed, rock, wet
@@ -180,3 +192,68 @@ def test_without_shear_stress_nothing_slides_as_a_whole():
     scene = dataclasses.replace(FAULT, stress=Stress(xx=12e6, yy=12e6), times=(0.5, 1.0, 1.4))
     slid, still = faulted()["observe"], simulate(scene)
     assert still["joint_slip"][-1] < 0.1 * slid["joint_slip"][-1]
+
+
+def test_a_joint_that_dilates_stays_closed_as_far_as_its_slip_lifts_it():
+    given = jointed()
+    s, hold = given.case.skeleton, given.hold
+    found = borne(s, hold, given.u)
+    pressed = s.joint & found.closed & (found.shear != 0.0)
+    assert pressed.sum() > 5
+    hold = remembered(s, hold, found, given.u)
+    # walls part by half of what a slip lifts them by: they still press; by twice that: no more
+    size = 10.0 * float(found.force.max()) / float(s.ks[pressed].min())
+    for share, closed in ((0.5, True), (2.0, False)):
+        part = found.part + hold.overlap - found.part + share * s.dilation * size
+        apart = borne_at(s, hold, part, found.slide - np.sign(found.shear) * size)
+        np.testing.assert_array_equal(apart.closed[pressed], closed)
+        if closed:
+            bears = apart.normal[pressed]
+            lifted = (s.kn * (hold.overlap - part + s.dilation * apart.slid))[pressed]
+            assert np.all(bears > 0.0)
+            np.testing.assert_allclose(bears, lifted)
+            np.testing.assert_allclose(np.abs(apart.shear)[pressed], s.friction[pressed] * bears)
+
+
+def borne_at(s, hold, part, slide):
+    """What contacts bear where they part and slide by given lengths, each by itself."""
+    c = len(part)
+    zero = csr_array((c, 2 * c))
+    by_part = csr_array((np.ones(c), (np.arange(c), np.arange(c))), (c, 2 * c))
+    by_slide = csr_array((np.ones(c), (np.arange(c), c + np.arange(c))), (c, 2 * c))
+    alone = s._replace(parting=by_part, sliding=by_slide, bending=zero)
+    return borne(alone, hold, np.append(part, slide))
+
+
+def test_a_rock_with_a_set_of_joints_finds_how_it_bears_its_stresses():
+    scene = dataclasses.replace(
+        FAULT,
+        region=Rectangle(20.0, 20.0),
+        grains=Grains(count=700, porosity=0.16, modulus=20e9),
+        stress=Stress(xx=10e6, yy=20e6),
+        fractures=(
+            FractureSet(
+                name="joints",
+                angle=np.pi / 3,
+                length=8.0,
+                spacing=7.0,
+                gap=8.0,
+                joint=Joint(
+                    normal_stiffness=5e11, shear_stiffness=5e11, friction=0.6, dilation_angle=0.17
+                ),
+            ),
+        ),
+        times=(1.0,),
+    )
+    (stage,) = [one for one in STAGES if one.name == "fracture"]
+    packing = next(one for one in STAGES if one.name == "pack")
+    told = stage.given(scene, 0)
+    grains = packing.run(**packing.given(scene, 0))
+    given = setting(grains, None, rock=told["rock"], wet=told["wet"], wells=told["wells"])
+    s, u = given.case.skeleton, given.u
+    found = borne(s, given.hold, u)
+    off = given.case.load + forces(s, given.hold, found, u)
+    assert np.abs(off).max() < 1e-3 * np.mean(np.abs(found.force))
+    assert (given.hold.mode[s.joint] == SLID).sum() > 10  # they had to slide to find it
+    holds = (s.friction * found.normal)[s.joint]
+    assert np.all(np.abs(found.shear[s.joint]) <= holds * (1.0 + 1e-9))
