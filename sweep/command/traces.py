@@ -41,6 +41,17 @@ def told_closures(study: Study) -> list[str]:
     return told
 
 
+def told_multipliers(study: Study) -> list[str]:
+    """One line for each barrier of the first case whose worth depends on its grains."""
+    scene = case_at(study, (0,) * len(study.axes)).scene
+    return [
+        f"fractures.{fracture.name}: what its transmissibility_multiplier is worth depends on the "
+        "size of the grains; thickness with permeability, or resistance, does not"
+        for fracture in scene.fractures
+        if fracture.transmissibility_multiplier
+    ]
+
+
 def _told(fracture: TraceMap | RandomSet, scene: Scene) -> str:
     lines = lines_of((fracture,), scene.rock)
     length = np.bincount([line.trace for line in lines], [line.length for line in lines])

@@ -4,7 +4,7 @@ import pytest
 from study_text import SMALL, load
 
 from demflow.model.scene import Closure
-from demflow.sweep.command.traces import told_closures
+from demflow.sweep.command.traces import told_closures, told_multipliers
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import StudyError
 
@@ -59,3 +59,18 @@ def test_check_tells_what_a_varied_stress_leaves_as_it_is(tmp_path):
     assert told_closures(load(tmp_path, closed)) == [natural]
     rates = SMALL.replace("stress.yy, values: [5 MPa, 10 MPa]", "grains.seed, values: [1, 2]")
     assert told_closures(load(tmp_path, rates)) == []
+
+
+@pytest.mark.parametrize(
+    ("barrier", "warned"),
+    [
+        ("transmissibility_multiplier: 0.01", True),
+        ("transmissibility_multiplier: 0", False),  # sealed, whatever the grains
+        ("thickness: 5 cm, permeability: 1 uD", False),
+        ("resistance: 1e12 Pa s/m", False),
+    ],
+)
+def test_check_warns_of_barriers_whose_worth_depends_on_the_grains(tmp_path, barrier, warned):
+    text = SMALL.replace(JOINT, JOINT.replace("aperture: 100 um", barrier))
+    found = told_multipliers(load(tmp_path, text))
+    assert [line.startswith("fractures.joint: ") for line in found] == [True] * warned
