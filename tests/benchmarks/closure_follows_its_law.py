@@ -1,4 +1,9 @@
-"""A joint and a set close as each law says from 0.1 to 50 MPa, and k falls at every angle."""
+"""A joint and a set close as each law says from 0.1 to 50 MPa, and k falls at every angle.
+
+What a joint bears differs along it by some per cent, and its laws are curved: the mean of apertures
+is compared with the mean of the law over stretches, and not with the law of the mean (which
+differs from it by up to 1.7 % where walls are rough).
+"""
 
 from __future__ import annotations
 
@@ -9,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from demflow.model.network.fractures.closure import closed
-from demflow.model.products import StressState
+from demflow.model.network.fractures.closure import ALONG, closed
+from demflow.model.products import StressState, Walk
 from demflow.model.scene import (
     BartonBandis,
     Bonds,
@@ -87,22 +92,54 @@ def run_some(scene: Scene, made: dict[str, Any], names: tuple[str, ...]) -> dict
     return made
 
 
-def borne(state: StressState, start: np.ndarray, end: np.ndarray) -> float:
-    """Mean stress across a line by all forces from grains on one side to those on the other."""
+def borne(
+    state: StressState, start: np.ndarray, end: np.ndarray, first: np.ndarray, last: np.ndarray
+) -> np.ndarray:
+    """Mean stress across stretches of a line, by all forces from grains on one side to the other.
+
+    Parameters
+    ----------
+    state : grains and the forces between them
+    start, end : of the line, (2,) m
+    first, last : ends of the stretches along it, (k,) m
+    """
+    at, force = cut(state, start, end)
+    inside = (at >= first[:, None]) & (at < last[:, None])
+    found: np.ndarray = (inside * force).sum(axis=1) / (last - first)
+    return found
+
+
+def cut(state: StressState, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Places along a line of the contacts that it cuts, m, and what each bears across it, N/m."""
     along = (end - start) / np.hypot(*(end - start))
     n = np.array([-along[1], along[0]])
     place = np.column_stack([state.x, state.y]) - start
     a, b = state.contact_a, state.contact_b
     ha, hb = place[a] @ n, place[b] @ n
     part = ha / np.where(ha == hb, 1.0, ha - hb)
-    at = (place[a] + part[:, None] * (place[b] - place[a])) @ along
-    cut = (ha * hb < 0.0) & (at > 0.0) & (at < np.hypot(*(end - start)))
     branch = place[b] - place[a]
+    at = (place[a] + part[:, None] * branch) @ along
+    ours = (ha * hb < 0.0) & (at > 0.0) & (at < np.hypot(*(end - start)))
     normal = branch / np.hypot(*branch.T)[:, None]
     tangent = np.column_stack([-normal[:, 1], normal[:, 0]])
     force = state.normal_force[:, None] * normal + state.shear_force[:, None] * tangent
     towards = np.where(hb > ha, 1.0, -1.0) * (force @ n)
-    return float(towards[cut].sum() / np.hypot(*(end - start)))
+    return at[ours], towards[ours]
+
+
+def along_joint(state: StressState, walk: Walk) -> tuple[np.ndarray, float]:
+    """Stress across the stretch around each piece of a joint, (e,) Pa, and across all of it.
+
+    Stretches as long as `ALONG` contacts are in the mean, moved inwards at the ends.
+    """
+    start, end = walk.line_start[0], walk.line_end[0]
+    length = float(np.hypot(*(end - start)))
+    ends = np.stack([walk.branch_a, walk.branch_b])
+    middle = np.column_stack([walk.node_x[ends].mean(axis=0), walk.node_y[ends].mean(axis=0)])
+    wide = length * min(1.0, ALONG / len(cut(state, start, end)[0]))
+    first = np.clip((middle - start) @ (end - start) / length - 0.5 * wide, 0.0, length - wide)
+    whole = borne(state, start, end, np.zeros(1), np.array([length]))
+    return borne(state, start, end, first, first + wide), float(whole[0])
 
 
 def uniform(scene: Scene, angle: float) -> float:
@@ -122,23 +159,23 @@ def compared(kind: str, degrees: float) -> tuple[np.ndarray, np.ndarray, np.ndar
         seed, stress = seeds[index[0]], STRESSES[index[1]]
         scene = rock(kind, seed, stress, drawn(kind, angle))
         made = run_some(scene, shared(kind, seed), ("stress", "walk"))
-        across = uniform(scene, angle)
+        across, mean = np.array([uniform(scene, angle)]), uniform(scene, angle)
         if kind == "joint":
-            walk = made["walk"]
-            across = borne(made["stress"], walk.line_start[0], walk.line_end[0])
-        felt[index] = across / uniform(scene, angle)
+            across, mean = along_joint(made["stress"], made["walk"])
+        felt[index] = mean / uniform(scene, angle)
         for column, law in enumerate(LAWS.values()):
             closing = replace(scene, fractures=(replace(scene.fractures[0], closure=law),))
             opened = run_some(closing, made, ("open", "measure"))
             apertures, lengths = opened["open"].branch_aperture, opened["open"].branch_length
-            expected = closed(np.array([APERTURE]), np.array([across]), law)[0]
+            each = closed(np.full(len(across), APERTURE), across, law)
+            expected = np.average(each, weights=lengths) if kind == "joint" else each[0]
             ratio[(*index, column)] = np.average(apertures, weights=lengths) / expected
             k[(*index, column)] = np.trace(opened["measure"].tensor)
     return ratio, k, felt
 
 
 def run() -> Result:
-    """Mean apertures over the law's: at n · σ · n of a set, at what the joint itself bears."""
+    """Mean apertures over the law's: at n · σ · n of a set, at what stretches of a joint bear."""
     worst, falls, lines = 0.0, True, []
     for kind in GRAINS:
         for degrees in ANGLES:
