@@ -215,8 +215,9 @@ def _walled(scene: Scene) -> bool | None:
 
 
 def _evened(scene: Scene) -> bool | None:
-    """True where graded grains are one rock; what opens between walls has grains' own lengths."""
-    return True if scene.grains.refine and not scene.coupled else None
+    """True where the rock is one; what opens between walls has its grains' own lengths."""
+    even = scene.grains.scatter == "even" or scene.grains.refine
+    return True if even and not scene.coupled else None
 
 
 def _load_times(scene: Scene) -> tuple[tuple[float, ...], ...]:

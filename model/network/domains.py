@@ -71,7 +71,7 @@ def network(
     packing : grains at rest under the packing pressure
     region : where the case lies, m
     walled : whether pores at the walls of the packing count, and no rim cuts
-    even : whether graded grains are to be one rock everywhere (`evening`)
+    even : whether the rock is to be one everywhere, as graded grains are (`evening`)
     """
     gone: list[np.ndarray] = []
     of_hole: list[int] = []

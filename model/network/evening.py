@@ -1,7 +1,7 @@
-"""Graded grains: one aperture is one permeability, and one porosity, in fine ones and in coarse.
+"""One aperture is one permeability, and one porosity, wherever it is in the rock.
 
-Grains of several sizes do not come to rest alike everywhere: finer ones lie some 6 % denser beside
-a well, and what a region of them conducts scatters by some per cent. A scene asks for one rock.
+What a part of a packing conducts scatters by some per cent, as grains happen to lie, and grains of
+several sizes do not come to rest alike: finer ones are some 6 % denser beside a well.
 """
 
 from __future__ import annotations

@@ -229,6 +229,8 @@ def coupling_problems(
     if grains.packing == "periodic":
         what = "a periodic packing has no walls; a coupled specimen needs them, as packing: random"
         yield "grains.packing", what
+    if grains.scatter != "leave":
+        yield "grains.scatter", "coupled grains keep their own volumes and pipes; leave it out"
     if grains.contact_stiffness is None:
         yield "grains.modulus", "coupling needs modulus or normal_stiffness"
     if grains.contact_law is not None:

@@ -1,4 +1,4 @@
-"""Packings that are finer around chosen places: sizes, numbers, and one permeability everywhere."""
+"""Packings that are finer around chosen places, and rock that is one everywhere."""
 
 import numpy as np
 import pytest
@@ -71,6 +71,29 @@ def test_a_lattice_is_even_as_it_is():
     ends = middle[plain.pipe_from] & middle[plain.pipe_to]
     ratio = (evened.pipe_length / plain.pipe_length)[ends]
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
+
+
+def test_evened_rock_conducts_and_stores_alike_everywhere():
+    """In discs of some 100 pores all over a random packing, by their own measure of k."""
+    packed = pack(
+        region=DISC, count=1500, mean_radius=None, packing="random", radius_ratio=1.66,
+        porosity=0.18, seed=5,
+    )  # fmt: skip
+    spread = {}
+    for even in (None, True):
+        found = []
+        for angle in np.arange(6) * np.pi / 3:
+            x, y = 0.6 * np.cos(angle), 0.6 * np.sin(angle)
+            whole = network(packed, region=DISC, even=even)
+            near = whole.inside & (np.hypot(whole.x - x, whole.y - y) < 0.3)
+            joins = near[whole.pipe_from] & near[whole.pipe_to]
+            squared = (np.diff(whole.x[[whole.pipe_from, whole.pipe_to]], axis=0) ** 2)[0]
+            squared += (np.diff(whole.y[[whole.pipe_from, whole.pipe_to]], axis=0) ** 2)[0]
+            area = whole.area[near].sum()
+            conducts = (squared / whole.pipe_length)[joins].sum() / area
+            found.append((conducts, whole.volume[near].sum() / area))
+        spread[even] = np.std(found, axis=0) / np.mean(found, axis=0)
+    assert np.all(spread[True] < np.array([0.6, 0.9]) * spread[None])
 
 
 @pytest.mark.parametrize("count", [200, 5000])
