@@ -19,7 +19,7 @@ from tests.rocks import packing_of, random_graph
 pytestmark = pytest.mark.slow
 
 REGION = Rectangle(2.0, 1.4)
-SCATTERED = random_graph(1.2, 1350, 3)
+SCATTERED = random_graph(1.2, 1000, 3)
 # grains of half the size leave every pore room, so that no sliver rules the explicit step
 PACKING = SCATTERED._replace(radius=0.5 * SCATTERED.radius)
 FRACTURES = (
@@ -62,7 +62,7 @@ def test_every_solver_states_its_error_here():
 
 @every
 def test_agrees_with_a_dense_eigen_solution(method):
-    """About 500 pores with a fracture and a wall; every pore, well, flow and probe."""
+    """Over 300 pores with a fracture and a wall; every pore, well, flow and probe."""
     found = respond(method, tolerance=1e-10, safety_factor=0.5)
     # the explicit scheme needs a few hundred steps to forget its first ones
     settled = (found.lag >= 100 * LIMIT) | (method != "explicit")

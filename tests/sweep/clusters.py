@@ -16,7 +16,7 @@ import psutil
 
 ROOT = Path(__file__).parents[2]
 LOCAL = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
-PATIENCE = 30.0  # s for all processes to stand
+PATIENCE = 120.0  # s for all processes to stand
 # Dask's own watching, which costs each of the processes a few per cent of a processor
 UNWATCHED = {
     "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
