@@ -89,29 +89,49 @@ WORDS: dict[type, tuple[str, str]] = {
 
 @dataclass(frozen=True)
 class LogTimes:
-    """Times that are evenly spaced in their logarithm, both ends included."""
+    """Times that are evenly spaced in their logarithm, both ends included; anew where asked."""
 
     first: float = parameter("s", above=0, help="first output time")
     last: float = parameter("s", above=0, help="last output time")
     per_decade: int = parameter(at_least=1, at_most=1000, help="least number of times per decade")
+    restart: tuple[float, ...] = parameter(
+        "s",
+        default=(),
+        above=0,
+        help="when the spacing begins anew with `first` after it, as where a rate changes",
+    )
 
     def __post_init__(self) -> None:
         check_fields(self)
         if self.last <= self.first:
             raise SceneError([("last", "the last time must come after the first")])
-        if self.intervals >= MOST_TIMES:
+        if any(length <= self.first for _, length in self._spans):
+            told = "times increase, each by more than `first`, and `last` is later still"
+            raise SceneError([("restart", told)])
+        if sum(map(self._intervals, (length for _, length in self._spans))) >= MOST_TIMES:
             raise SceneError([("per_decade", f"more than {MOST_TIMES} output times")])
 
     @property
-    def intervals(self) -> int:
+    def _spans(self) -> list[tuple[float, float]]:
+        """Where the spacing begins, and how long it goes on."""
+        starts = (0.0, *self.restart)
+        ends = (*self.restart, self.last)
+        return [(start, end - start) for start, end in zip(starts, ends, strict=True)]
+
+    def _intervals(self, length: float) -> int:
         """Number of steps from the first time to the last."""
-        decades = math.log10(self.last) - math.log10(self.first)
+        decades = math.log10(length) - math.log10(self.first)
         return max(1, math.ceil(self.per_decade * decades - 1e-9))
 
     @property
     def times(self) -> tuple[float, ...]:
         """The times, s."""
-        return spaced(self.first, self.last, self.intervals + 1, log=True)
+        found: list[float] = []
+        for (start, length), end in zip(self._spans, (*self.restart, self.last), strict=True):
+            since = spaced(self.first, length, self._intervals(length) + 1, log=True)
+            found += [float(f"{start + lag:.12g}") if start else lag for lag in since[:-1]]
+            found.append(end)
+        return tuple(found)
 
 
 @dataclass(frozen=True)

@@ -71,6 +71,20 @@ def test_round_decades_are_met_exactly(tmp_path):
     assert case_at(load(tmp_path, text), (0,)).scene.times == (1e-3, 1e-2, 0.1, 1.0, 10.0, 100.0)
 
 
+def test_times_begin_anew_where_a_rate_changes(tmp_path):
+    text = broken(
+        "times: [1 s, 1 min, 1 h]",
+        "times: {first: 1 s, last: 250 s, per_decade: 2, restart: [100 s, 150 s]}",
+    )
+    times = case_at(load(tmp_path, text), (0,)).scene.times
+    first = [10.0 ** (k / 2) for k in range(5)]
+    second = [100.0 + 50.0 ** (k / 4) for k in range(5)]
+    assert times == pytest.approx([*first, *second, *(150.0 + lag for lag in first)], rel=1e-11)
+    assert times[4] == 100.0
+    assert times[9] == 150.0
+    assert times[-1] == 250.0
+
+
 def test_an_axis_supplies_what_the_scene_leaves_out(tmp_path):
     text = broken("stress: {xx: 20 MPa, yy: 10 MPa}", "stress: {xx: 20 MPa}")
     study = load(

@@ -47,6 +47,8 @@ MISTAKES = [
     ("{left: 7 MPa", "{left: 7 m", "7 m,", "7 m is a length; boundaries.left is a pressure"),
     ("[1 s, 1 min, 1 h]", "[1 s, 1 m, 1 h]", "1 m,", "1 m is a length; times is a time"),
     ("[1 s, 1 min, 1 h]", "{first: 1 s, last: 0.5 s, per_decade: 3}", "0.5 s", "the last time must come after the first"),
+    ("[1 s, 1 min, 1 h]", "{first: 1 s, last: 9 s, per_decade: 3, restart: [5 s, 4 s]}", "[5 s", "times increase, each by more than `first`"),
+    ("[1 s, 1 min, 1 h]", "{first: 1 s, last: 9 s, per_decade: 3, restart: [8.5 s]}", "[8.5 s", "and `last` is later still"),
     ("[1 s, 1 min, 1 h]", "{first: 1e-20 s, last: 1e20 s, per_decade: 1000}", "1000}", "more than 10000 output times"),
     ("{p: {at: [3, 0]}}", "{p: {from: [0, 0], to: [1, 1], count: 1e9}}", "1e9", "1e+09 is above 10000"),
     ("[well_pressure, pressure_map]", "[wel_pressure, pressure_map]", "wel_pressure", "unknown word 'wel_pressure'; did you mean 'well_pressure'?"),
