@@ -24,12 +24,14 @@ FAR_APART = 3.0  # upper over lower bound from which on the scale is logarithmic
 WIDE = 10.0  # an interval over such a factor tells no more than an order of magnitude
 NEARLY_LINEAR = 0.02  # half width on the scale 0 to 1 up to which the Jacobian serves
 CORRELATED = 0.95  # from which on a pair of parameters is told
+AS_FORESEEN = 0.15  # part by which the sum of squares may rise otherwise at the ends of an interval
 SCANNED, STARTS, KEPT = 128, 6, 2  # points tried, of them started from, of them followed to the end
 BRIEF = 12  # steps of a start before it is judged
 ROUGH = 1e-3  # share of the sum of squares to which a place is known that is only compared
 ELSEWHERE = (0.08, 0.29, 0.5, 0.71, 0.92)  # places of each parameter from which others are sought
 APART = 0.02  # on the scale 0 to 1: minima that lie nearer are one
 _STEP = 1e-6  # of the scale 0 to 1, for the Jacobian
+_HALVED = 16  # times that an end of a profile is looked for between two places
 _ANEW = 5  # times that a better place than the best so far is gone on from
 _FLAT = 1e-13  # curvature of the sum of squares that is round-off, parameters scaled alike
 _FAILED = 1e3  # residual over the spread of the data where a model has no answer
@@ -362,10 +364,15 @@ def _told(problem: _Problem, minima: list[_Minimum], profile: bool | None) -> Fi
     estimates = []
     for k, one in enumerate(problem.free):
         low, high = u[k] - half[k], u[k] + half[k]
-        by_profile = profile if profile is not None else not half[k] <= NEARLY_LINEAR
+        with np.errstate(invalid="ignore", divide="ignore"):
+            along = np.nan_to_num(correlation[:, k] * half / half[k], posinf=0.0, neginf=0.0)
+        by_profile = profile
+        if profile is None:
+            by_profile = not (
+                half[k] <= NEARLY_LINEAR
+                and _foreseen(problem, u, half[k] * along, squares, allowed)
+            )
         if by_profile:
-            with np.errstate(invalid="ignore", divide="ignore"):
-                along = np.nan_to_num(correlation[:, k] * half / half[k], posinf=0.0, neginf=0.0)
             low = _end(problem, u, k, -1.0, squares, allowed, half[k], along=along)
             high = _end(problem, u, k, +1.0, squares, allowed, half[k], along=along)
         away = [at for at, _ in as_good if not low <= at[k] <= high]
@@ -404,6 +411,24 @@ def _told(problem: _Problem, minima: list[_Minimum], profile: bool | None) -> Fi
         squares=squares,
         evaluations=problem.evaluations,
     )
+
+
+def _foreseen(
+    problem: _Problem, u: np.ndarray, step: np.ndarray, squares: float, allowed: float
+) -> bool:
+    """Whether the sum of squares rises to both ends of an interval as the Jacobian foresees it.
+
+    `step` (p,) leads to an end, all parameters changing with the one as in a linear model. Beside a
+    parameter that moves far, one with a narrow interval need not be linear.
+    """
+    for way in (-1.0, 1.0):
+        at = u + way * step
+        if np.any((at < 0.0) | (at > 1.0)):
+            return False
+        rise = float(np.sum(problem.residual(at) ** 2)) - squares
+        if not abs(rise / max(allowed, 1e-300) - 1.0) <= AS_FORESEEN:
+            return False
+    return True
 
 
 def _persistence(off: np.ndarray) -> float:
@@ -469,22 +494,25 @@ def _end(
             break
     if outside is None:
         return bound
-    for _ in range(6):
-        # of a parabola through the minimum, from the end that is nearer
+    last = 0.0  # on which side the last place was
+    for _ in range(_HALVED):
+        # of a parabola through the minimum, from the end that is nearer; by half where it creeps
         root = math.sqrt(max(1.0 + e_inside, 0.0))
         share = (root - 1.0) / (root - math.sqrt(1.0 + e_outside))
-        reach = inside + min(max(share, 0.1), 0.9) * (outside - inside)
+        share = min(max(share, 0.1), 0.9) if last == 0.0 else 0.5
+        reach = inside + share * (outside - inside)
         if outside - inside < 0.02 * outside:
             break
         e, best = excess(reach)
         if abs(e) < 0.02:
-            result: float = u[k] + way * reach
-            return result
+            break
+        last = math.copysign(1.0, e) if last == 0.0 or last == math.copysign(1.0, e) else 0.0
         if e < 0.0:
             inside, at_inside, e_inside = reach, best, e
         else:
             outside, e_outside = reach, e
-    return float(u[k] + way * reach)
+    result: float = u[k] + way * reach
+    return result
 
 
 def told_pairs(found: Fit) -> list[str]:
