@@ -151,7 +151,8 @@ def axis_value(dataset: xr.Dataset, axis: str, position: int) -> str:
 
 def _beside(dataset: xr.Dataset, axis: str) -> list[str]:
     """Coordinates that say what the points of an axis over several parameters are."""
-    return [str(n) for n, c in dataset.coords.items() if c.dims == (axis,) and n != axis]
+    of = dataset.variables
+    return [str(n) for n in dataset.coords if of[n].dims == (axis,) and n != axis]
 
 
 def case_title(dataset: xr.Dataset, index: Index) -> str:

@@ -74,9 +74,12 @@ def draw_horner(
     for (c, i), (s, j) in product(enumerate(colours), enumerate(styles)):
         index = {a: 0 for a in axes(dataset)}
         index |= {name: at for name, at in ((colour, i), (style, j)) if name}
-        case, own = dataset.isel(index), well_of(index, well)
+        own = well_of(index, well)
         production = production_time(own) if own is not None else None
-        if own is None or production is None or int(case["status"]) != Status.DONE:
+        if own is None or production is None:
+            continue
+        case = dataset.isel(index)
+        if int(case["status"]) != Status.DONE:
             continue
         since = times - own.rate_changes[1][0]
         shut = since > 0

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
+from matplotlib.collections import EllipseCollection
 from matplotlib.image import AxesImage
-from matplotlib.patches import Ellipse
 
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
 from demflow.sweep.analysis.permeability import principal_permeability
@@ -82,20 +82,21 @@ def plot_ellipses(dataset: xr.Dataset, x: str, y: str, panel: Axes) -> Axes:
         found[name].transpose(y, x).values for name in ("largest", "smallest", "direction")
     )
     scale = 0.9 / float(np.nanmax(largest))
-    for row, column in np.argwhere(np.isfinite(largest)).tolist():
-        size = float(largest[row, column])
-        if size > 0.0:
-            panel.add_patch(
-                Ellipse(
-                    (column, row),
-                    size * scale,
-                    max(float(smallest[row, column]), 0.0) * scale,
-                    angle=float(direction[row, column]),
-                    facecolor=BLUE,
-                    alpha=0.75,
-                    linewidth=0,
-                )
-            )
+    drawn = np.nan_to_num(largest) > 0.0
+    panel.add_collection(
+        EllipseCollection(
+            largest[drawn] * scale,
+            np.maximum(smallest[drawn], 0.0) * scale,
+            direction[drawn],
+            units="xy",
+            offsets=np.argwhere(drawn)[:, ::-1],
+            offset_transform=panel.transData,
+            facecolors=BLUE,
+            alpha=0.75,
+            linewidths=0,
+        ),
+        autolim=False,
+    )
     panel.set(
         xlim=(-0.6, largest.shape[1] - 0.4), ylim=(-0.6, largest.shape[0] - 0.4), aspect="equal"
     )

@@ -4,8 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
-from matplotlib.collections import LineCollection
-from matplotlib.patches import Ellipse, Wedge
+from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.patches import Wedge
 
 import demflow.sweep.accessor  # noqa: F401 -- registers `dataset.demflow`
 from demflow.sweep.errors import ResultsError
@@ -81,13 +81,12 @@ def test_colours_over_two_axes_are_the_values(panel):
 def test_ellipses_are_the_tensors(panel):
     dataset = study()
     dataset.demflow.plot_ellipses("seed", "angle", panel)
-    found = [one for one in panel.patches if isinstance(one, Ellipse)]
-    assert len(found) == 11  # one case failed
-    for one in found:
-        column, row = map(round, one.center)
-        assert one.angle == pytest.approx(float(dataset.angle[row]), abs=1e-9)
-        assert one.width / one.height == pytest.approx(4.0)
-        assert one.width == pytest.approx(0.9 * (1 + column) / 3)
+    (found,) = (one for one in panel.collections if isinstance(one, EllipseCollection))
+    column, row = found.get_offsets().T.astype(int)
+    assert len(set(zip(column, row, strict=True))) == 11  # one case failed
+    np.testing.assert_allclose(found.get_angles(), dataset.angle[row], atol=1e-9)
+    np.testing.assert_allclose(found.get_widths() / found.get_heights(), 4.0)
+    np.testing.assert_allclose(found.get_widths(), 0.9 * (1 + column) / 3)
 
 
 def test_areas_of_a_rose_are_parts_of_the_length(panel):
