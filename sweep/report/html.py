@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from html import escape as _escape
 
@@ -45,6 +46,7 @@ def grid(
 
 def _cell(value: object, digits: int) -> str:
     if isinstance(value, bool) or not isinstance(value, int | float):
-        return f"<td>{escape(value)}</td>"
+        # a path may break behind its dots rather than within a word
+        return f"<td>{re.sub(r'(?<=[._/])(?=[A-Za-z])', '<wbr>', escape(value))}</td>"
     text = "–" if value != value else plain_number(float(value), digits)
     return f"<td class='number'>{escape(text)}</td>"

@@ -117,7 +117,7 @@
   let historyPlot = null;
   let historyTable = null;
   function quantities() {
-    const options = wellLog ? [["loglog", "pressure change and derivative, log-log"]] : [];
+    const options = wellLog ? [["loglog", "Δp and derivative, log-log"]] : [];
     for (const name of Object.keys(histories))
       if (!wellLog || !/^pressure_/.test(name)) options.push([name, histories[name].title]);
     return options;

@@ -196,9 +196,11 @@ def _figure(path: Path, folder: Path) -> str:
     own = re.compile(rf"{re.escape(path.stem)}_\w+\.csv")
     beside = sorted(table for table in ours(path.parent) if own.fullmatch(table.name))
     tables = "".join(map(_csv_table, beside))
+    source = quote(path.relative_to(folder).as_posix())
+    # on a small screen one touch shows it as large as it is
     return (
-        f"<figure><img src='{quote(path.relative_to(folder).as_posix())}' width='{width}' "
-        f"height='{height}' alt='{escape(caption)}'>"
+        f"<figure><a href='{source}'><img src='{source}' width='{width}' "
+        f"height='{height}' alt='{escape(caption)}'></a>"
         f"<figcaption>{escape(caption)}</figcaption></figure>{tables}"
     )
 
