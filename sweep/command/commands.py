@@ -90,7 +90,7 @@ def check(options: argparse.Namespace) -> int:
             found = [{key: getattr(p, key) for key in keys} for p in error.problems]
             _print_json({"valid": False, "count": error.count, "problems": found})
         else:
-            show(str(error))
+            show(str(error), sentences=True)
         return WRONG
     cases = _product(study.shape) if study.kept is None else int(study.kept.sum())
     cases = cases if study.values else 0  # without a scene nothing runs
@@ -106,7 +106,7 @@ def check(options: argparse.Namespace) -> int:
     else:
         show(f"{options.study}: valid, {_count(cases, 'case')}")
         for line in summary:
-            show(line)
+            show(line, sentences=True)
     return GOOD
 
 
@@ -192,7 +192,8 @@ def status(options: argparse.Namespace) -> int:
         besides += f"{stopped} stopped early, " if stopped else ""
         show(f"{cases} cases: {done} done, {besides}{failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
-            show(f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}")
+            told = f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}"
+            show(told, sentences=True)
         if len(bad) > MOST_SHOWN:
             show(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
         others = failed - int(again.sum()) - len(prepared.plan.impossible)

@@ -7,8 +7,11 @@ from __future__ import annotations
 
 import io
 import os
+import shutil
 import sys
+import textwrap
 from pathlib import Path
+from typing import TextIO
 
 from demflow.sweep.printable import printable_lines
 
@@ -40,11 +43,36 @@ def settle() -> None:
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 
 
-def show(data: str) -> None:
-    """Give a user data, on stdout."""
-    print(printable_lines(data))
+def show(data: str, *, sentences: bool = False) -> None:
+    """Give a user data, on stdout.
+
+    Parameters
+    ----------
+    data : lines
+    sentences : whether a terminal may break them
+    """
+    text = printable_lines(data)
+    print(_broken(text, sys.stdout) if sentences else text)
 
 
 def say(message: str) -> None:
     """Tell a user something, on stderr."""
-    print(printable_lines(message), file=sys.stderr, flush=True)
+    print(_broken(printable_lines(message), sys.stderr), file=sys.stderr, flush=True)
+
+
+def _broken(text: str, stream: TextIO) -> str:
+    """Text whose lines are broken between words where a terminal is narrower; else as it is.
+
+    A line that is indented, as one quoted from a study, stays.
+    """
+    if not stream.isatty():
+        return text
+    width = max(shutil.get_terminal_size().columns, 40)
+    return "\n".join(
+        line
+        if len(line) <= width or line[0].isspace()
+        else textwrap.fill(
+            line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False
+        )
+        for line in text.split("\n")
+    )
