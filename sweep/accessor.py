@@ -574,6 +574,12 @@ class Results:
 
         return plot_ellipses(self._dataset, x, y, _axes(ax))
 
+    def plot_permeability_rose(self, ax: Axes | None = None) -> Axes:
+        """Draw how permeable each case is in every direction; return the axes."""
+        from demflow.sweep.figures.permeability import plot_permeability_rose
+
+        return plot_permeability_rose(self._dataset, _axes(ax))
+
     def plot_topology(self, ax: Axes | None = None) -> Axes:
         """Draw the parts of I, Y and X nodes of the fractures of each case; return the axes."""
         from demflow.sweep.figures.traces import plot_topology

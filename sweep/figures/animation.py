@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 import shutil
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
 import xarray as xr
+from matplotlib import colormaps, rcParams
 from matplotlib.animation import AbstractMovieWriter, FFMpegWriter, PillowWriter
+from matplotlib.colors import to_rgb
+from PIL import Image
 
 from demflow.model.scene import Scene
 from demflow.sweep.analysis.cases import with_unit
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.maps import Fields, broken_until, coloured, draw_fields, readable
-from demflow.sweep.figures.style import DPI, make_printable, pick
+from demflow.sweep.figures.style import (
+    BLUE,
+    DPI,
+    SEQUENTIAL,
+    VERMILION,
+    make_printable,
+    pick,
+)
 
 KINDS = ("gif", "mp4")
 MOST_FRAMES = 40
@@ -25,8 +36,54 @@ def check_kind(kind: str) -> None:
     """Raise ResultsError for a kind of file that is none of these, or cannot be written here."""
     if kind not in KINDS:
         raise ResultsError(f"an animation is {' or '.join(KINDS)}, not {kind or 'without suffix'}")
-    if kind == "mp4" and shutil.which("ffmpeg") is None:
-        raise ResultsError("MP4 needs the program ffmpeg, which is not found; take GIF, or add it")
+    if kind == "mp4" and not _ffmpeg():
+        raise ResultsError(
+            "MP4 needs the program ffmpeg, which is not found; take GIF, or "
+            "`pip install demflow[movies]`"
+        )
+
+
+def _ffmpeg() -> str:
+    """Path of ffmpeg: the machine's, else that of the package imageio-ffmpeg; empty without."""
+    own = shutil.which("ffmpeg")
+    if own is None:
+        try:
+            own = str(import_module("imageio_ffmpeg").get_ffmpeg_exe())
+        except (ImportError, RuntimeError):
+            return ""
+    return own
+
+
+def _in_palette(frame: np.ndarray, palette: np.ndarray) -> Image.Image:
+    """A frame (rows, columns, 3) in the nearest colours of a palette (256, 3)."""
+    # what Pillow takes for nearest is a few steps off: white was grey
+    red, green, blue = np.moveaxis(frame.astype(np.int64), -1, 0)
+    codes, where = np.unique(red << 16 | green << 8 | blue, return_inverse=True)
+    each = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=1)
+    off = (palette**2).sum(axis=1) - 2 * each @ palette.T
+    found = Image.fromarray(off.argmin(axis=1).astype(np.uint8)[where.reshape(frame.shape[:2])])
+    found.putpalette(palette.astype(np.uint8).tobytes())
+    return found
+
+
+class GifWriter(PillowWriter):
+    """Writes all frames with one palette: the colour map's, greys and what marks are drawn in.
+
+    A palette found in each frame gives few colours to what is rare, as the rock around a well.
+    """
+
+    _frames: list[Image.Image]
+
+    def finish(self) -> None:
+        """Write the file."""
+        field = colormaps[SEQUENTIAL](np.linspace(0.0, 1.0, 200))[:, :3]
+        grey = np.repeat(np.linspace(0.0, 1.0, 54)[:, None], 3, axis=1)
+        colours = np.concatenate([field, grey, [to_rgb(BLUE), to_rgb(VERMILION)]])
+        palette = np.round(255.0 * colours).astype(np.int64)
+        first, *others = (_in_palette(np.asarray(frame), palette) for frame in self._frames)
+        first.save(
+            self.outfile, save_all=True, append_images=others, duration=int(1000 / self.fps), loop=0
+        )
 
 
 def draw_animation(
@@ -70,7 +127,9 @@ def draw_animation(
     drawn = draw_fields(maps, scene, heading, fields, breaks, count=1)
     make_printable(drawn.figure)
     dpi = min(DPI, MOST_PIXELS / float(np.max(drawn.figure.get_size_inches())))
-    writer: AbstractMovieWriter = (PillowWriter if kind == "gif" else FFMpegWriter)(FRAMES_A_SECOND)
+    writer: AbstractMovieWriter = (GifWriter if kind == "gif" else FFMpegWriter)(FRAMES_A_SECOND)
+    if kind == "mp4":
+        rcParams["animation.ffmpeg_path"] = _ffmpeg()  # the house's style puts it back
     with writer.saving(drawn.figure, str(path), dpi):
         for field, title, time in zip(fields.values, titles, fields.until, strict=True):
             drawn.images[0].set_data(coloured(drawn.pores, field, drawn.norm))

@@ -331,7 +331,7 @@ def draw_fields(
 
 
 def plot_map(maps: xr.Dataset, panel: Axes, time: float | None = None) -> Axes:
-    """Draw pressure over the pores with fractures and wells; return the axes.
+    """Draw pressure over the pores with grains (where observed), fractures and wells.
 
     The colours are those of `panel.collections[0]`, for a colour bar.
 
@@ -356,6 +356,7 @@ def plot_map(maps: xr.Dataset, panel: Axes, time: float | None = None) -> Axes:
     draw_pores(panel, pores_on_pixels(maps), values, norm)
     colours = PolyCollection([], array=[], cmap=SEQUENTIAL, norm=norm, label=name)
     panel.add_collection(colours, autolim=False)
+    _grains(panel, maps, None)
     draw_traces(panel, maps)
     draw_wells(panel, maps)
     panel.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
@@ -376,11 +377,12 @@ def rims(scene: Scene) -> list[Patch]:
     return rims
 
 
-def _grains(panel: Axes, maps: xr.Dataset, scene: Scene) -> None:
+def _grains(panel: Axes, maps: xr.Dataset, scene: Scene | None) -> None:
     if "radius" not in maps:
         return
     centres = np.stack([maps["grain_x"].values, maps["grain_y"].values], axis=1)
-    inside = contains(scene.rock, centres)
+    everywhere = np.ones(len(centres), dtype=bool)
+    inside = everywhere if scene is None else contains(scene.rock, centres)
     if np.count_nonzero(inside) > MOST_GRAINS:
         return
     centres, size = centres[inside], 2.0 * maps["radius"].values[inside]

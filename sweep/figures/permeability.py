@@ -12,7 +12,15 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.analysis.cases import (
+    axes,
+    axis_title,
+    axis_value,
+    case_title,
+    display,
+    done,
+)
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     BLUE,
     GREY,
@@ -27,11 +35,13 @@ from demflow.sweep.figures.style import (
     plain_log_ticks,
     quiet_minor_labels,
     save,
+    sequence,
     shorten,
 )
 
 _COMPONENTS = (("k_xx", 0, BLUE, "o"), ("k_yy", 1, VERMILION, "s"))
 MOST_PANELS = 6
+MOST_ROSES = 10  # cases that are told apart
 SIZE = (2.6, 2.3)  # inches of a panel
 FEW = 4  # curves that are drawn each; of more their range
 
@@ -242,3 +252,38 @@ def place_axis(panel: Axes, dataset: xr.Dataset, axis: str, names: list[str]) ->
         quiet_minor_labels(panel, chosen)
     elif len(values) <= 6:
         quiet_minor_labels(panel, list(values * factor))
+
+
+def plot_permeability_rose(dataset: xr.Dataset, panel: Axes) -> Axes:
+    """Draw how permeable the rock of each case is in every direction; return the axes.
+
+    The distance from the middle is n·K n, which a gradient of pressure along n drives along n.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it, with `permeability`
+    panel : where to draw
+
+    Raises ResultsError where there is no permeability, or no case, or more than can be told apart.
+    """
+    if "permeability" not in dataset:
+        raise ResultsError("the dataset has no permeability: observe it")
+    shown = list(done(dataset))
+    if not 0 < len(shown) <= MOST_ROSES:
+        raise ResultsError(
+            f"{len(shown)} cases are done, and 1 to {MOST_ROSES} can be told apart; choose some by "
+            "isel or sel"
+        )
+    angle = np.linspace(0.0, 2.0 * np.pi, 361)
+    along = np.stack([np.cos(angle), np.sin(angle)])
+    tensors = [
+        dataset["permeability"].isel(index).transpose("row", "column").values for index in shown
+    ]
+    factor, unit = display("m2", np.asarray(tensors)[:, [0, 1], [0, 1]])
+    for index, tensor, colour in zip(shown, tensors, sequence(len(shown)), strict=True):
+        reach = factor * np.einsum("ia,ij,ja->a", along, tensor, along)
+        name = legend_text(case_title(dataset, index))
+        panel.plot(reach * along[0], reach * along[1], color=colour, label=name)
+    name = f"({unit})"
+    panel.set(aspect="equal", xlabel=f"permeability along x {name}", ylabel=f"along y {name}")
+    return panel

@@ -445,21 +445,31 @@ def test_frames_are_the_maps_of_their_times(results, monkeypatch):
         {f"event_{of}": ("event", [at, 1e9]) for of, at in (("time", times[1]), ("x", 3.0))}
         | {"event_y": ("event", [-4.0, 0.0])}
     )
-    seen = []
+    seen, true = [], []
 
-    class Writer(animation.PillowWriter):
+    class Writer(animation.GifWriter):
         def grab_frame(self, **options):
             panel = self.fig.axes[0]
             (dots,) = (c for c in panel.collections if isinstance(c, PathCollection))
             found = _colours_at(panel, maps["x"].values, maps["y"].values)
             seen.append((panel.get_title(), found, dots.get_offsets().tolist()))
             super().grab_frame(**options)
+            true.append(np.asarray(self._frames[-1], dtype=int))
 
-    monkeypatch.setattr(animation, "PillowWriter", Writer)
+    monkeypatch.setattr(animation, "GifWriter", Writer)
     path = folder / "m.gif"
     with house_style():
         animation.draw_animation(maps, path, case_at(study, (0,)).scene, "one", breaks)
-    assert len(_frames(path)) == 2
+    frames = _frames(path)
+    assert len(frames) == 2
+    for frame, drawn in zip(frames, true, strict=True):  # even the rarest colour of the map
+        colours, where = np.unique(drawn.reshape(-1, 3), axis=0, return_inverse=True)
+        off = np.abs(frame.astype(int) - drawn).max(axis=2).ravel()
+        shown = 255.0 * colormaps["viridis"](np.linspace(0.0, 1.0, 256))[:, :3]
+        of_map = np.abs(colours[:, None] - shown).max(axis=2).min(axis=1) < 1.0
+        assert np.count_nonzero(of_map) > 20
+        assert off[of_map[where]].max() <= 3  # half a step of the palette
+        assert off[drawn.reshape(-1, 3).min(axis=1) == 255].max() == 0  # white is white
     values = maps["pressure"].isel(elapsed_time=[0, -1]).values / 1e6
     norm = Normalize(*map_figures.colour_limits(values))
     for (title, found, _), field, time in zip(seen, values, times[[0, -1]], strict=True):

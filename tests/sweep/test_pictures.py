@@ -89,6 +89,19 @@ def test_ellipses_are_the_tensors(panel):
     np.testing.assert_allclose(found.get_widths(), 0.9 * (1 + column) / 3)
 
 
+def test_a_rose_reaches_as_far_as_the_rock_is_permeable(panel):
+    dataset = study(seeds=1)
+    dataset.demflow.plot_permeability_rose(panel)
+    assert len(panel.lines) == 3  # one case failed
+    for line, angle in zip(panel.lines, np.radians(dataset.angle.values), strict=False):
+        x, y = line.get_data()
+        direction = np.arctan2(y, x)
+        expected = 4.0 * np.cos(direction - angle) ** 2 + np.sin(direction - angle) ** 2
+        np.testing.assert_allclose(np.hypot(x, y), expected, rtol=1e-9)
+    with pytest.raises(ResultsError, match="0 cases are done"):
+        dataset.isel(angle=[-1]).demflow.plot_permeability_rose(panel)
+
+
 def test_areas_of_a_rose_are_parts_of_the_length(panel):
     angle, length = RNG.uniform(-360.0, 360.0, 500), RNG.uniform(1.0, 9.0, 500)
     traces(angle, length).demflow.plot_rose(panel)

@@ -34,7 +34,7 @@ class Page(HTMLParser):
     def handle_starttag(self, tag, attrs):
         self.tags.append(tag)
         self.attributes += [(tag, *attr) for attr in attrs]
-        if tag not in ("meta", "img", "input"):
+        if tag not in ("meta", "img", "input", "wbr"):
             self.open.append(tag)
 
     def handle_endtag(self, tag):
@@ -42,7 +42,11 @@ class Page(HTMLParser):
 
     def handle_data(self, data):
         within = self.open[-1] if self.open else ""
-        (self.scripts if within == "script" else self.text).append(data)
+        if self.tags[-1:] == ["wbr"] and self.text:  # where a word may break it goes on
+            self.tags.pop()
+            self.text[-1] += data
+        else:
+            (self.scripts if within == "script" else self.text).append(data)
 
     @property
     def carried(self):
