@@ -87,7 +87,8 @@ def test_page_asks_for_nothing_but_the_pictures_beside_it(made, tmp_path):
     assert len(images) == 4
     assert all((tmp_path / value).is_file() and value.startswith("figures/") for value in images)
     assert not {"link", "iframe", "object"} & set(page.tags)
-    assert not [a for a in page.attributes if a[1] in ("href", "action", "onclick")]
+    assert [value for _, name, value in page.attributes if name == "href"] == images
+    assert not [a for a in page.attributes if a[1] in ("action", "onclick")]
     assert not re.search(r"url\(|@import|https?:", "".join(page.text))
     assert study.text.strip() in "".join(page.text)
 
