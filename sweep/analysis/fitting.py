@@ -339,8 +339,10 @@ def _linearised(problem: _Problem, u: np.ndarray, squares: float) -> _Linear:
     persistence = _persistence(off)
     effective = max(n * (1.0 - persistence) / (1.0 + persistence), p + 1.0)
     freedom = max(effective - p, 1.0)
-    # the mean square per datum, and the variance of what so few independent ones tell
-    variance = squares / (n - p) * (n / effective)
+    # the mean square per datum, not below what doubles round, and the variance of what so few
+    # independent ones tell
+    rounded = (np.finfo(float).eps * float(np.abs(problem.data).max(initial=0.0))) ** 2
+    variance = max(squares / (n - p), rounded, 1e-300) * (n / effective)
     jacobian = problem.jacobian(u)
     size = np.linalg.norm(jacobian, axis=0)
     scaled = jacobian / np.where(size > 0.0, size, 1.0)

@@ -63,6 +63,19 @@ def test_a_straight_line_has_the_intervals_of_the_textbook(profile):
     assert slope.method == ("profile" if profile else "jacobian")
 
 
+@pytest.mark.parametrize("profile", [False, True, None])
+def test_data_without_any_noise_are_fitted_to_round_off(profile):
+    x = np.linspace(0.0, 10.0, 30)
+    free = [Free("slope", -5.0, 5.0), Free("level", 1e-3, 1e3)]
+    found = fit(lambda v: v["level"] + v["slope"] * x, 2.0 + 0.5 * x, free, profile=profile)
+    for name, true in {"slope": 0.5, "level": 2.0}.items():
+        one = found[name]
+        assert one.determined
+        assert one.low <= one.value <= one.high
+        assert one.low == pytest.approx(true, rel=1e-6)
+        assert one.high == pytest.approx(true, rel=1e-6)
+
+
 def test_what_the_data_do_not_hold_is_said():
     x = np.linspace(0.0, 1.0, 40)
     y = straight(x, 0.05, 2)
