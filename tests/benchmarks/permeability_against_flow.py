@@ -2,8 +2,9 @@
 
 The twelve states of the quickstart (angles, apertures, stresses) in SEEDS packings, in a square of
 the area of its circle. `permeability` is held against the flow under a pressure p = −x or p = −y
-along the whole rim, in steps of a pore, whose Σ q p is the dissipation, where fractures leave
-through sides on which that is exact (elsewhere a step moves what they carry by some percent).
+along the whole rim, whose Σ q p is the dissipation. That pressure goes in steps, much shorter than
+a pore, for a step moves where a fracture leaves: at 45° and 150 µm by 5, 2 and 1 % of its flow in
+80, 160 and 320 steps a side.
 `bar_permeability` is held against `boundary_flow` of the same rock between two sides whose others
 are sealed. How far the first lies above the second, where fractures meet the rim, is told. GRAINS
 (of the environment) makes the packings smaller, SEEDS and STEPS choose others and other steps.
@@ -26,10 +27,9 @@ from tests.benchmarks.result import Result
 GRAINS = int(os.environ.get("GRAINS", "2500"))
 SEEDS = tuple(int(s) for s in os.environ.get("SEEDS", "1 2 3").split())
 SIZE = math.sqrt(math.pi) * 14.0  # m, of the square
-STEPS = int(os.environ.get("STEPS", "80"))  # of the pressure along each side
+STEPS = int(os.environ.get("STEPS", "640"))  # of the pressure along each side
 VISCOSITY = 1e-3  # Pa s
 AT_RIM, OF_BAR = 0.01, 0.03
-EXACT = ((0.0, "x"), (90.0, "y"))  # angles and axes at which fractures end on sides of one pressure
 BARS = {"x": ("left", "right"), "y": ("bottom", "top")}  # sides where it enters and leaves
 
 
@@ -107,8 +107,7 @@ def run() -> Result:
             q = linear["boundary_flow"].sel(boundary=[f"side[{j}]" for j in rim[axis]]).values
             dissipated = VISCOSITY * float(q.ravel() @ np.array(list(rim[axis].values()))) / SIZE**2
             off = tensor / dissipated - 1.0
-            if (case[0], axis) in EXACT:
-                at_rim.append(off)
+            at_rim.append(off)
             flow = float(bar["boundary_flow"].sel(boundary=BARS[axis][0]).values.ravel()[0])
             of_bar.append(float(bar["bar_permeability"][k]) / (VISCOSITY * flow / 1e6) - 1.0)
             above.append(float(bar["permeability"][k, k] / bar["bar_permeability"][k]) - 1.0)
