@@ -361,16 +361,23 @@ def narrowest(region: Polygon) -> tuple[float, int, int]:
 def tightest(region: Pierced) -> tuple[float, str, str]:
     """Least distance (m) between the rim of a hole and another, the hole, and whose rim that is.
 
-    Negative where they overlap; the other is `outer` where the hole is near the region's own rim.
+    Negative where they overlap (of many such pairs, one); the other is `outer` where the hole is
+    near the region's own rim.
     """
     found = (np.inf, "", "")
-    for number, hole in enumerate(region.holes):
-        rim = hole.rim
+    rims = [hole.rim for hole in region.holes]
+    low, high = (np.array([end(rim, axis=0) for rim in rims]) for end in (np.min, np.max))
+    for number, (hole, rim) in enumerate(zip(region.holes, rims, strict=True)):
         room = np.where(contains(region.outer, rim), 1.0, -1.0) * distance_to_rim(region.outer, rim)
         found = min(found, (float(room.min()), hole.name, "outer"))
-        for other in region.holes[:number]:
-            for one, two in ((hole, other), (other, hole)):
-                points = one.rim - np.array(two.at)
+        gap = np.maximum(low[:number] - high[number], low[number] - high[:number])
+        least = np.linalg.norm(np.maximum(gap, 0.0), axis=1)  # they are no nearer than their boxes
+        for k in range(number):
+            if least[k] >= found[0]:
+                continue
+            other = region.holes[k]
+            for points, two in ((rim, other), (rims[k], hole)):
+                points = points - np.array(two.at)
                 apart = np.where(contains(two.shape, points), -1.0, 1.0)
                 room = apart * distance_to_rim(two.shape, points)
                 found = min(found, (float(room.min()), hole.name, other.name))
@@ -420,48 +427,8 @@ def clip_segment(
     region : where the case lies, m
     start, end : x, y in m
     """
-    a, b = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
-    step = b - a
-    cuts = [0.0, 1.0]
-    for shape, at, _ in parts_of(region):
-        cuts += _cuts(shape, a - at, step)
-    ends = np.unique(np.clip(cuts, 0.0, 1.0))
-    middles = a + 0.5 * (ends[:-1] + ends[1:])[:, None] * step
-    within = contains(region, middles)
-    if isinstance(region, Polygon | Pierced):  # what lies on an edge is outside, whichever it is
-        xmin, xmax, ymin, ymax = bounding_box(region)
-        within &= distance_to_rim(region, middles) > 1e-12 * max(xmax - xmin, ymax - ymin)
-    kept: list[tuple[float, float]] = []
-    for s0, s1, inside in zip(ends[:-1], ends[1:], within, strict=True):
-        if not inside:
-            continue
-        if kept and kept[-1][1] == s0:
-            kept[-1] = (kept[-1][0], float(s1))
-        else:
-            kept.append((float(s0), float(s1)))
-    return kept
-
-
-def _cuts(shape: Shape, a: np.ndarray, step: np.ndarray) -> list[float]:
-    """Fractions at which the line through a, along a step, crosses the rim of a shape."""
-    if isinstance(shape, Circle):
-        qa, qb, qc = step @ step, a @ step, a @ a - shape.radius**2
-        disc = qb * qb - qa * qc
-        if disc > 0 and qa > 0:
-            return [(-qb - np.sqrt(disc)) / qa, (-qb + np.sqrt(disc)) / qa]
-        return []
-    cuts = []
-    corners = np.asarray(shape.vertices)
-    for p, q in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        edge = q - p
-        denominator = step[0] * edge[1] - step[1] * edge[0]
-        if denominator != 0.0:
-            offset = p - a
-            s = (offset[0] * edge[1] - offset[1] * edge[0]) / denominator
-            u = (offset[0] * step[1] - offset[1] * step[0]) / denominator
-            if -1e-12 <= u <= 1 + 1e-12:
-                cuts.append(s)
-    return cuts
+    _, low, high = clip_segments(region, np.array([start]), np.array([end]))
+    return list(zip(low.tolist(), high.tolist(), strict=True))
 
 
 def clip_segments(
@@ -487,12 +454,59 @@ def clip_segments(
             whole &= ~_meets_an_edge(np.asarray(shape.vertices), start - at, end - at)
         elif shape is not outer_shape(region):  # a convex hole between two ends outside it
             whole &= _entry(shape, start - at, end - start) > 1.0
-    rest = np.flatnonzero(near & ~whole)
-    parts = [(k, 0.0, 1.0) for k in np.flatnonzero(whole)]
-    parts += [(k, s0, s1) for k in rest for s0, s1 in clip_segment(region, start[k], end[k])]
-    parts.sort()
-    table = np.array(parts).reshape(-1, 3)
-    return table[:, 0].astype(np.int64), table[:, 1], table[:, 2]
+    inside, rest = np.flatnonzero(whole), np.flatnonzero(near & ~whole)
+    found = [(inside, np.zeros(len(inside)), np.ones(len(inside)))]
+    sides = sum(len(shape.sides) + 2 for shape, _, _ in parts_of(region))
+    for lot in _lots(len(rest), sides):
+        row, s0, s1 = _inner_parts(region, start[rest[lot]], (end - start)[rest[lot]])
+        found.append((rest[lot][row], s0, s1))
+    segment, s0, s1 = (np.concatenate(one) for one in zip(*found, strict=True))
+    order = np.lexsort((s0, segment))
+    return segment[order].astype(np.int64), s0[order], s1[order]
+
+
+def _inner_parts(
+    region: Region, start: np.ndarray, step: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `clip_segments`, of segments that may cross the rim."""
+    ends = np.array([[0.0, 1.0]]).repeat(len(start), axis=0)
+    cuts = [_cuts(shape, start - at, step) for shape, at, _ in parts_of(region)]
+    at = np.sort(np.clip(np.hstack([ends, *cuts]), 0.0, 1.0), axis=1)  # what is NaN comes last
+    row, column = np.nonzero(at[:, 1:] > at[:, :-1])
+    s0, s1 = at[row, column], at[row, column + 1]
+    middle = start[row] + (0.5 * (s0 + s1))[:, None] * step[row]
+    within = contains(region, middle)
+    if isinstance(region, Polygon | Pierced):  # what lies on an edge is outside, whichever it is
+        xmin, xmax, ymin, ymax = bounding_box(region)
+        within &= distance_to_rim(region, middle) > 1e-12 * max(xmax - xmin, ymax - ymin)
+    row, s0, s1 = row[within], s0[within], s1[within]
+    goes_on = (row[1:] == row[:-1]) & (s0[1:] == s1[:-1])
+    first, last = np.append(True, ~goes_on)[: len(row)], np.append(~goes_on, True)[: len(row)]
+    return row[first], s0[first], s1[last]
+
+
+def _cuts(shape: Shape, start: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """Fractions at which lines cross the rim of a shape, (n, cuts); NaN where they do not.
+
+    Parameters
+    ----------
+    shape : about the origin
+    start, step : a point of each line and its direction, (n, 2) m
+    """
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if isinstance(shape, Circle):
+            qa, qb = np.sum(step * step, axis=1), np.sum(start * step, axis=1)
+            disc = qb * qb - qa * (np.sum(start * start, axis=1) - shape.radius**2)
+            root = np.sqrt(np.where((disc > 0) & (qa > 0), disc, np.nan))
+            return np.stack([(-qb - root) / qa, (-qb + root) / qa], axis=1)
+        corners = np.asarray(shape.vertices, dtype=float)
+        edge_x, edge_y = (np.roll(corners, -1, axis=0) - corners).T
+        step_x, step_y = step.T[:, :, None]
+        x, y = (corners[None] - start[:, None]).transpose(2, 0, 1)
+        denominator = step_x * edge_y - step_y * edge_x
+        along_edge = (x * step_y - y * step_x) / denominator
+        crosses = (denominator != 0.0) & (along_edge >= -1e-12) & (along_edge <= 1 + 1e-12)
+        return np.where(crosses, (x * edge_y - y * edge_x) / denominator, np.nan)
 
 
 def _meets_an_edge(corners: np.ndarray, start: np.ndarray, end: np.ndarray) -> np.ndarray:

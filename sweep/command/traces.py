@@ -11,15 +11,17 @@ from demflow.model.scene.trace_maps import LaidMap
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study
 
+MOST_TOLD = 20  # maps and sets of which `check` tells
+
 
 def told_traces(study: Study) -> list[str]:
-    """One line for each map and each random set of the first case."""
+    """One line for each map and each random set of the first case, of many for the first."""
     scene = case_at(study, (0,) * len(study.axes)).scene
-    return [
-        _told(fracture, scene)
-        for fracture in scene.fractures
-        if isinstance(fracture, TraceMap | RandomSet)
-    ]
+    drawn = [one for one in scene.fractures if isinstance(one, TraceMap | RandomSet)]
+    told = [_told(fracture, scene) for fracture in drawn[:MOST_TOLD]]
+    if len(drawn) > MOST_TOLD:
+        told.append(f"fractures: {len(drawn) - MOST_TOLD} more maps and sets")
+    return told
 
 
 def told_closures(study: Study) -> list[str]:

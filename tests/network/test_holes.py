@@ -182,3 +182,25 @@ def test_holes_that_cannot_be_are_refused_with_the_key_to_blame():
 def test_a_hole_narrower_than_two_pores_is_refused():
     with pytest.raises(ModelError, match=r"the hole hole\[0\] is 0.886 m wide"):
         inflow(1, (CircularHole(at=(0.0, 0.0), radius=0.5),), count=300)
+
+
+def test_the_tightest_place_among_many_holes_is_that_of_all_pairs():
+    chance = np.random.default_rng(3)
+    for _ in range(5):
+        places = [(x, y) for x in (-6.0, -2.0, 2.0, 6.0) for y in (-6.0, -2.0, 2.0, 6.0)]
+        holes = tuple(
+            Hole(
+                f"hole{k}",
+                (x + chance.uniform(-0.5, 0.5), y + chance.uniform(-0.5, 0.5)),
+                Circle(chance.uniform(0.5, 1.2)) if k % 2 else Rectangle(*chance.uniform(1, 2, 2)),
+            )
+            for k, (x, y) in enumerate(places)
+        )
+        region = Pierced(Rectangle(18.0, 18.0), holes)
+        pairs = [
+            tightest(Pierced(Rectangle(1e3, 1e3), (one, two)))[0]
+            for number, one in enumerate(holes)
+            for two in holes[:number]
+        ]
+        walls = [tightest(Pierced(region.outer, (one,)))[0] for one in holes]
+        assert tightest(region)[0] == min(pairs + walls)
