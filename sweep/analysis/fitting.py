@@ -73,6 +73,7 @@ class Estimate(NamedTuple):
     determined: bool
     why: str = ""  # what is not determined
     method: str = "jacobian"  # or profile
+    another: float = math.nan  # value of a minimum elsewhere that fits as well
 
 
 @dataclass(frozen=True)
@@ -385,7 +386,7 @@ def _told(problem: _Problem, minima: list[_Minimum], profile: bool | None) -> Fi
         open_below, open_above = low <= 0.0, high >= 1.0
         low, high = max(low, 0.0), min(high, 1.0)
         ends = one.value(low), one.value(high)
-        why = ""
+        why, another = "", math.nan
         if open_below and open_above:
             why = "the data leave it anywhere between its bounds"
         elif open_below or open_above:
@@ -394,11 +395,12 @@ def _told(problem: _Problem, minima: list[_Minimum], profile: bool | None) -> Fi
         elif one.logarithmic and ends[1] > WIDE * ends[0]:
             why = "the data tell no more than its order of magnitude"
         elif away:
-            why = f"the data fit {one.value(float(away[0][k])):.4g} as well"
+            why, another = "the data fit another value as well", one.value(float(away[0][k]))
         estimates.append(
             Estimate(
                 *(one.name, one.value(u[k]), *ends, not why, why),
                 "profile" if by_profile else "jacobian",
+                another,
             )
         )
     residual = off / problem.weight

@@ -79,7 +79,12 @@ def fit(options: argparse.Namespace) -> int:
 def check(options: argparse.Namespace) -> int:
     """Validate a study: every problem at once."""
     from demflow.sweep.command.coupling import told_coupling
-    from demflow.sweep.command.traces import told_closures, told_multipliers, told_traces
+    from demflow.sweep.command.traces import (
+        told_closures,
+        told_multipliers,
+        told_partings,
+        told_traces,
+    )
     from demflow.sweep.study.load import load_study
 
     try:
@@ -94,7 +99,7 @@ def check(options: argparse.Namespace) -> int:
         return WRONG
     cases = _product(study.shape) if study.kept is None else int(study.kept.sum())
     cases = cases if study.values else 0  # without a scene nothing runs
-    told = (told_traces, told_multipliers, told_closures, told_coupling)
+    told = (told_traces, told_multipliers, told_partings, told_closures, told_coupling)
     summary = [line for one in told for line in one(study)] if study.values else []
     for test in study.data.values():
         summary += [

@@ -1,4 +1,4 @@
-"""What `check` tells of the traces that a study draws or reads from files."""
+"""What `check` tells of traces that a study draws or reads, and of apertures and their stress."""
 
 from __future__ import annotations
 
@@ -41,6 +41,21 @@ def told_closures(study: Study) -> list[str]:
     if scene.porous and matrix and matrix.half_force is None and matrix.half_stress is None:
         told.append(f"matrix: {stays}, for it has neither half_stress nor half_force")
     return told
+
+
+def told_partings(study: Study) -> list[str]:
+    """A line where grains without bonds may part, and the pipes between them open."""
+    scene = case_at(study, (0,) * len(study.axes)).scene
+    matrix = scene.pipes
+    if scene.stress is None or scene.bonds is not None or matrix is None:
+        return []
+    if (matrix.half_force is None and matrix.half_stress is None) or not matrix.gap_factor:
+        return []
+    return [
+        "grains: without bonds they may part under the stress, and a few pipes that open by "
+        "matrix.gap_factor times their gap then decide the permeability; add bonds, or "
+        "gap_factor: 0 (parted_pipes counts them)"
+    ]
 
 
 def told_multipliers(study: Study) -> list[str]:

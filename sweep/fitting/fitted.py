@@ -56,9 +56,15 @@ class Fitted:
 
     def shown(self, one: Estimate) -> tuple[float, float, float, str]:
         """Value and interval of a parameter in the unit that the study writes, and that unit."""
-        bounds = next(b for b in self.request.free if b.name == one.name)
-        unit, factor = bounds.shown
-        return one.value / factor, one.low / factor, one.high / factor, unit
+        value, low, high = (self.in_unit(one.name, x) for x in (one.value, one.low, one.high))
+        return value, low, high, self._bounds(one.name).shown[0]
+
+    def in_unit(self, name: str, value: float) -> float:
+        """A value of a parameter in the unit that the study writes."""
+        return value / self._bounds(name).shown[1]
+
+    def _bounds(self, name: str) -> Bounds:
+        return next(one for one in self.request.free if one.name == name)
 
 
 def fit_study(
@@ -167,14 +173,22 @@ def told(fitted: Fitted) -> list[str]:
     for name, one in fitted.fits.items():
         lines.append(
             f"{name}: {len(one.residual)} points, scatter {one.scatter:.4g} Pa, "
-            f"AIC {one.aic(count):.1f}, BIC {one.bic(count):.1f}"
+            + (f"AIC {one.aic(count):.1f}" if math.isfinite(one.aic(count)) else "too few for AIC")
+            + f", BIC {one.bic(count):.1f}"
         )
         width = max(len(e.name) for e in one.estimates)
         for e in one.estimates:
             value, low, high, unit = fitted.shown(e)
             word = "" if unit == "1" else f" {unit}"
-            line = f"  {e.name.ljust(width)}  {value:.5g}{word}  [{low:.5g}, {high:.5g}]"
-            lines.append(f"{line}  not determined: {e.why}" if e.why else line)
+            digits = 5  # and more where the interval is as narrow as they are
+            if 0.0 < high - low < 1e-3 * abs(value):
+                digits = min(2 + math.ceil(math.log10(abs(value) / (high - low))), 15)
+            ends = f"[{low:.{digits}g}, {high:.{digits}g}]"
+            line = f"  {e.name.ljust(width)}  {value:.{digits}g}{word}  {ends}"
+            why = e.why
+            if math.isfinite(e.another):
+                why = f"the data fit {fitted.in_unit(e.name, e.another):.5g}{word} as well"
+            lines.append(f"{line}  not determined: {why}" if why else line)
         lines += [f"  {pair}" for pair in told_pairs(one)]
         if one.persistence > 0.0:
             lines.append(

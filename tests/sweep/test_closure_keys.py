@@ -1,10 +1,11 @@
 """`closure` in a study, and what `check` tells where stress closes nothing."""
 
 import pytest
+import yaml
 from study_text import SMALL, load
 
 from demflow.model.scene import Closure
-from demflow.sweep.command.traces import told_closures, told_multipliers
+from demflow.sweep.command.traces import told_closures, told_multipliers, told_partings
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import StudyError
 
@@ -59,6 +60,31 @@ def test_check_tells_what_a_varied_stress_leaves_as_it_is(tmp_path):
     assert told_closures(load(tmp_path, closed)) == [natural]
     rates = SMALL.replace("stress.yy, values: [5 MPa, 10 MPa]", "grains.seed, values: [1, 2]")
     assert told_closures(load(tmp_path, rates)) == []
+
+
+@pytest.mark.parametrize(
+    ("matrix", "bonded", "warned"),
+    [
+        ("half_stress: 1 MPa", False, True),
+        ("half_force: 1 MN/m", False, True),
+        ("half_stress: 1 MPa, gap_factor: 0", False, False),
+        ("half_stress: 1 MPa", True, False),
+        ("", False, False),
+    ],
+)
+def test_check_warns_of_grains_that_may_part(tmp_path, matrix, bonded, warned):
+    study = yaml.safe_load(SMALL)
+    scene = study["scene"]
+    scene["matrix"] |= yaml.safe_load(f"{{{matrix}}}")
+    scene.pop("bonds", None)
+    if bonded:
+        scene["bonds"] = {
+            "kind": "parallel",
+            "tensile_strength": "1 GPa",
+            "shear_strength": "1 GPa",
+        }
+    found = told_partings(load(tmp_path, yaml.safe_dump(study)))
+    assert bool(found) == warned
 
 
 @pytest.mark.parametrize(

@@ -298,6 +298,8 @@ def test_intervals_hold_every_way_in_which_a_model_fits():
     assert found["permeability"].high > 1.9 * truth["permeability"]
     assert not found["permeability"].determined
     assert "as well" in found["permeability"].why
+    assert found["permeability"].low <= found["permeability"].another <= found["permeability"].high
+    assert abs(found["permeability"].another / found["permeability"].value - 1.0) > 0.1
 
 
 def test_the_shipped_record_gives_back_what_it_was_made_of(tmp_path):
