@@ -176,11 +176,11 @@ class Grains:
 
     def _contact_problems(self) -> list[tuple[str, str]]:
         """What is wrong with the law of contact."""
-        if self.contact != "hertz":
+        if self.contact == "linear":
             return []
         problems = []
         if self.normal_stiffness is not None:
-            what = "a Hertz-Mindlin contact has no stiffness of its own; give modulus instead"
+            what = f"a {self.contact} contact has no stiffness of its own; give modulus instead"
             problems.append(("normal_stiffness", what))
         if self.rolling_friction > 0.0:
             what = "rolling resistance goes with contact: linear"
@@ -412,7 +412,7 @@ def loading_problems(
 
 def _nonlinear_problems(grains: Grains, bonds: Bonds | None, stress: Stress | None) -> Problems:
     """What is wrong with loads on grains whose contacts are not linear, or resist rolling."""
-    if grains.contact == "hertz" and bonds is not None and bonds.kind == "contact":
+    if grains.contact != "linear" and bonds is not None and bonds.kind == "contact":
         what = "a contact bond is as stiff as its contact, which is not linear; take parallel"
         yield "bonds.kind", what
     if stress is not None and stress.method == "static":

@@ -93,6 +93,7 @@ def elasticity(
     elif contact.law == "rolling":
         law = Rolling(1.0, 1.0 / stiffness_ratio, friction, contact.rolling_friction or 0.0)
     else:
+        assert contact.law == "hertz", contact.law
         nu = contact.poissons_ratio or 0.0
         effective = normal_stiffness / (2.0 * (1.0 - nu**2))
         overlap = (3.0 * np.sqrt(2.0) * pressure / effective) ** (2.0 / 3.0)
