@@ -30,7 +30,7 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
     dataset : as `open_results` gives it
     path : where the figure is written
     """
-    if "event_count" not in dataset or "event_time" not in dataset:
+    if not {"event_count", "event_time", "event_x", "event_y", "event_mode"} <= set(dataset):
         return None
     names = axes(dataset)
     status, counts = dataset["status"].values, dataset["event_count"].values
