@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -45,15 +46,18 @@ def plot_over(dataset: xr.Dataset, values: xr.DataArray, x: str, y: str, panel: 
     _check(values, x, y)
     field = values.mean([d for d in values.dims if d not in (x, y)]).transpose(y, x)
     factor, unit = display(str(values.attrs.get("units", "1")), field.values)
+    shown = field.values[np.isfinite(field.values)]
+    decades = len(shown) > 0 and 0.0 < 10.0 * shown.min() < shown.max()
     image = panel.imshow(
         field.values * factor,
+        norm="log" if decades else None,
         origin="lower",
         aspect="auto",
         cmap=SEQUENTIAL,
         interpolation="nearest",
     )
     name = str(values.attrs.get("long_name", axis_title(str(values.name or ""))))
-    image.set_label(f"{name} ({unit})" if unit else name)
+    image.set_label(textwrap.fill(f"{name} ({unit})" if unit else name, 40))
     _name_places(dataset, x, y, panel)
     return panel
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from matplotlib.collections import EllipseCollection, LineCollection
+from matplotlib.colors import LogNorm
 from matplotlib.patches import Wedge
 
 import demflow.sweep.accessor  # noqa: F401 -- registers `dataset.demflow`
@@ -76,6 +77,22 @@ def test_colours_over_two_axes_are_the_values(panel):
         dataset.demflow.plot_over(k, "angle", "angle", panel)
     with pytest.raises(ResultsError, match="along row, column"):
         dataset.demflow.plot_over("permeability", "seed", "angle", panel)
+
+
+@pytest.mark.parametrize(("spread", "by_decades"), [(9.0, False), (11.0, True)])
+def test_colours_go_by_decades_where_values_do(panel, spread, by_decades):
+    dataset = study()
+    k = dataset.permeability.isel(row=1, column=1)
+    level = k.copy(data=np.geomspace(1.0, spread, k.size).reshape(k.shape))
+    dataset.demflow.plot_over(level, "seed", "angle", panel)
+    assert isinstance(panel.images[0].norm, LogNorm) == by_decades
+
+
+def test_a_label_of_many_words_is_broken(panel):
+    dataset = study()
+    k = dataset.permeability.isel(row=1, column=1).assign_attrs(long_name="words and " * 12)
+    dataset.demflow.plot_over(k, "seed", "angle", panel)
+    assert max(map(len, panel.images[0].get_label().split("\n"))) <= 40
 
 
 def test_ellipses_are_the_tensors(panel):
