@@ -8,7 +8,13 @@ from dataclasses import dataclass
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Pierced, Rectangle, Region, Shape, side_length
-from demflow.model.scene.coupling import Coupling, Reckoned, coupling_problems, reckoned
+from demflow.model.scene.coupling import (
+    COUPLED,
+    Coupling,
+    Reckoned,
+    coupling_problems,
+    reckoned,
+)
 from demflow.model.scene.flow import (
     STANDARD_GRAVITY,
     Boundary,
@@ -438,8 +444,9 @@ class Scene:
         """What does not go with coupling, of how it goes on in time."""
         if self.flows and not self.transient:
             yield "coupling", "grains move while fluid does; give times, or leave coupling out"
-        if self.solver.method == "explicit":
-            yield "solver.method", "explicit solves no coupled transient; take auto, or krylov"
+        if self.solver.method not in ("auto", *COUPLED, "steady"):
+            what = f"{self.solver.method} solves no coupled transient; take auto, or krylov"
+            yield "solver.method", what
         if self.start == "steady":
             what = "a coupled transient starts from one pressure, or a linear field"
             yield "initial_pressure", what

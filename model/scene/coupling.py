@@ -18,6 +18,7 @@ __all__ = ["Coupling", "Reckoned", "coupling_problems", "one_way_ratio", "reckon
 # Closing over its strain at which flows with apertures as they are are off by 1 %.
 ONE_WAY = 0.007
 
+COUPLED = ("krylov", "implicit")  # solvers of coupled transients
 Schedule = tuple[tuple[float, float], ...]
 
 

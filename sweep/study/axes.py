@@ -30,10 +30,8 @@ from demflow.sweep.study.yaml_source import Mapping, Node, Place, Scalar, Sequen
 
 MAX_CASES = 100_000
 
-_KEYS = (
-    *("parameter", "parameters", "values", "from", "to", "count", "spacing"),
-    *("distribution", "file", "columns"),
-)
+SPACING = ("from", "to", "count", "spacing", "distribution", "file", "columns")  # no values
+_KEYS = ("parameter", "parameters", "values", *SPACING)
 SOURCES = ("values", "file", "distribution")  # of points, instead of evenly spaced ones
 
 # names that the dataset uses itself

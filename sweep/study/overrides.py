@@ -8,11 +8,11 @@ the rest.
 
 from __future__ import annotations
 
+from demflow.sweep.study.axes import SPACING
 from demflow.sweep.study.sections import BESIDE_SCENE
 from demflow.sweep.study.units import nearest
 from demflow.sweep.study.yaml_source import Mapping, Node, Place, Problem, Scalar, Sequence
 
-_SPACING = ("from", "to", "count", "spacing", "distribution", "file", "columns")
 _UNWRITTEN = (
     "solver",
     "limits",
@@ -87,7 +87,7 @@ def _with_values(vary: Mapping, name: str, values: Sequence, place: Place) -> Ma
     axis = vary.entries.get(name)
     if not isinstance(axis, Mapping):
         raise _Missing(name, list(vary.entries))
-    kept = {key: node for key, node in axis.entries.items() if key not in _SPACING}
+    kept = {key: node for key, node in axis.entries.items() if key not in SPACING}
     replaced = Mapping(axis.place, kept | {"values": values}, axis.keys | {"values": place})
     return Mapping(vary.place, vary.entries | {name: replaced}, vary.keys)
 

@@ -9,12 +9,14 @@ import math
 import numpy as np
 import pytest
 
+from demflow.model.coupling import consolidation
 from demflow.model.coupling.balance import Fluid, balanced
 from demflow.model.coupling.march import Stepper
 from demflow.model.coupling.setting import setting
 from demflow.model.region import Rectangle
 from demflow.model.scene import Bonds, Coupling, Grains, Matrix, Scene, SceneError, Solver
 from demflow.model.scene import Fluid as SceneFluid
+from demflow.model.scene.coupling import COUPLED
 from demflow.model.stages import simulate
 from tests.coupling.bored import packed, rock, run, well, wet
 from tests.coupling_rocks import random_packing, specimen_of
@@ -129,3 +131,7 @@ def test_sealed_rock_of_a_stiff_fluid_breaks_and_keeps_its_books():
     assert str(found.state.stopped) == ""
     assert len(found.events.time) > 0
     assert found.unbalanced < 1e-9
+
+
+def test_a_scene_takes_the_solvers_that_couple_and_no_other():
+    assert set(consolidation.SOLVERS) == set(COUPLED)
