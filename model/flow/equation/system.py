@@ -84,7 +84,8 @@ class System(NamedTuple):
     @property
     def excess(self) -> np.ndarray:
         """Conductance of each unknown to fixed pressures, (n,) m³/(s Pa)."""
-        return np.bincount(self.fixed_node, weights=self.fixed_g, minlength=self.n)
+        found = np.bincount(self.fixed_node, weights=self.fixed_g, minlength=self.n)
+        return found.astype(float)
 
     def reached(self, domains: np.ndarray) -> np.ndarray:
         """Which domains have a pressure that some source moves, as a mask."""
@@ -100,7 +101,8 @@ class System(NamedTuple):
         """
         if index < self.fixed_count:
             ours = self.fixed_source == index
-            return np.bincount(self.fixed_node[ours], weights=self.fixed_g[ours], minlength=self.n)
+            found = np.bincount(self.fixed_node[ours], self.fixed_g[ours], minlength=self.n)
+            return found.astype(float)  # of none at all it counts in whole numbers
         well = index - self.fixed_count
         if well >= len(self.rate_wells):
             return self.net_inflow(self.initial[well - len(self.rate_wells)])
