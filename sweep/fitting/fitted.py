@@ -20,7 +20,10 @@ from demflow.sweep.analysis.fitting import (
     shared_count,
     told_pairs,
 )
+from demflow.sweep.analysis.periods import longest_period, transient
+from demflow.sweep.analysis.regimes import Regime, detect_regimes
 from demflow.sweep.analysis.reservoirs import MODELS, Superposed, fit_model
+from demflow.sweep.analysis.thinning import thinned
 from demflow.sweep.dataset.folder import FITS, check_free
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.store.durable import write_durably
@@ -30,6 +33,7 @@ from demflow.sweep.study.measured import MeasuredTest
 from demflow.sweep.study.reservoir import parameters_of
 
 NETWORK = "network"  # the name of the scene among the models
+SMOOTHING, MOST_OF_PERIOD = 0.3, 300  # L and points of the derivative whose regimes are told
 MOST_SEARCHED = 20_000  # points of a record whose pressure is searched for changes of rate
 Tell = Callable[[str], None]
 
@@ -166,6 +170,32 @@ def _by_models(
     return test.time, test.pressure, rates, fits
 
 
+def regimes(fitted: Fitted) -> tuple[float, list[Regime]]:
+    """Flow regimes that the record shows in its longest period, and when that begins, s.
+
+    Parameters
+    ----------
+    fitted : the record is part of it
+    """
+    period = longest_period(fitted.time, fitted.rates)
+    few = thinned(fitted.time, fitted.pressure, fitted.rates, MOST_OF_PERIOD)
+    time, pressure = fitted.time[few], fitted.pressure[few]
+    period = period._replace(members=period.members[few])
+    if np.count_nonzero(period.members) < 3:
+        return period.start, []
+    found = transient(time, pressure, fitted.rates, period, SMOOTHING)
+    return period.start, detect_regimes(time[period.members] - period.start, *found)
+
+
+def _told_regimes(fitted: Fitted) -> str:
+    start, found = regimes(fitted)
+    shown = ", ".join(
+        f"{one.name} {one.start:.3g} to {one.end:.3g} s ({one.confidence:.2f})" for one in found
+    )
+    after = f"regimes since {start:.4g} s, with confidence (derivative by superposition time, "
+    return f"{after}L = {SMOOTHING}): {shown or 'none that lasts'}"
+
+
 def told(fitted: Fitted) -> list[str]:
     """What was found, line by line."""
     lines = []
@@ -197,7 +227,7 @@ def told(fitted: Fitted) -> list[str]:
             )
     if len(fitted.fits) > 1:
         lines.append(fitted.choice)
-    return lines
+    return [*lines, _told_regimes(fitted)]
 
 
 def summary(fitted: Fitted) -> dict[str, Any]:
@@ -227,6 +257,7 @@ def summary(fitted: Fitted) -> dict[str, Any]:
             "evaluations": found.evaluations,
         }
 
+    start, found = regimes(fitted)
     return {
         "study": fitted.study.name,
         "data": fitted.test.name,
@@ -234,6 +265,7 @@ def summary(fitted: Fitted) -> dict[str, Any]:
         "confidence": 0.95,
         "models": {name: one(found) for name, found in fitted.fits.items()},
         "choice": fitted.choice,
+        "regimes": {"since": start, "smoothing": SMOOTHING, "found": [r._asdict() for r in found]},
         "notes": list(fitted.test.notes),
     }
 

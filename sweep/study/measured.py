@@ -21,12 +21,14 @@ from demflow.sweep.study.tables import (
     Table,
     TableError,
     column,
+    date_of,
     numbers,
     read_table,
     times,
     told_lines,
+    with_time_of_day,
 )
-from demflow.sweep.study.yaml_source import Mapping, Node, Scalar
+from demflow.sweep.study.yaml_source import Mapping, Node, Scalar, Sequence
 
 TIME_NAMES = ("time", "elapsed", "date", "t", "zeit", "dept")
 PRESSURE_NAMES = ("pressure", "bhp", "wbhp", "p", "pwf", "druck")
@@ -61,7 +63,7 @@ class Data:
     pressure: str | None = parameter(default=None, help="column of pressures: p [psi]")
     well: str | None = parameter(default=None, help="well of the scene that was measured")
     rates: Any = parameter(
-        default=None, help="file of rates, or a list of times and the rate from each on"
+        default=None, help="file of rates, or a list of times or dates and the rate from each on"
     )
     rate_time: str | None = parameter(default=None, help="column of times in the file of rates")
     rate: str | None = parameter(
@@ -75,8 +77,12 @@ class Data:
     )
 
 
+class Dated(tuple[tuple[float, float], ...]):
+    """Rate changes (s since 1970, m³/s) that stand in the study with dates."""
+
+
 class RateForms(Section):
-    """Rates: a file, or pairs of a time and the rate from then on."""
+    """Rates: a file, or pairs of a time or date and the rate from then on."""
 
     def __init__(self) -> None:
         declared = next(one for one in fields(Data) if one.name == "rates")
@@ -87,12 +93,34 @@ class RateForms(Section):
 
     def read(self, node: Node, path: str, reading: Reading) -> Any:
         """The name of a file, or (s, m³/s) pairs."""
+        if isinstance(node, Sequence) and any(_date(item) is not None for item in node.items):
+            return self._dated(node, path, reading)
         section = self.word if isinstance(node, Scalar) else self.pairs
         return section.read(node, path, reading)
+
+    def _dated(self, node: Sequence, path: str, reading: Reading) -> Dated:
+        """Dates in place of the times, all of them."""
+        times, plain = [], []
+        for item in node.items:
+            date = _date(item)
+            if date is None or not isinstance(item, Sequence):
+                what = "the first has a date, so each is a date, as 2024-05-17 08:30:00, and a rate"
+                reading.report(item.place, f"{path}: {what}", path)
+                return Dated()
+            times.append(date)
+            plain.append(Sequence(item.place, (Scalar(item.place, "0"), *item.items[1:])))
+        rates = self.pairs.read(Sequence(node.place, tuple(plain)), path, reading)
+        return Dated(zip(times, (rate for _, rate in rates), strict=True))
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:
         """Never: what was measured is as it is."""
         raise NoParameter("what was measured is no parameter")
+
+
+def _date(item: Node) -> float | None:
+    """The instant that a pair begins with, s since 1970; None where it is no date."""
+    first = item.items[0] if isinstance(item, Sequence) and item.items else None
+    return date_of(first.text) if isinstance(first, Scalar) else None
 
 
 DATA: Block = block_of(Data, {"rates": RateForms()})
@@ -112,6 +140,7 @@ def read_data(node: Node | None, reading: Reading) -> dict[str, MeasuredTest]:
         before = len(reading.problems)
         values = DATA.read(value, path, reading)
         if len(reading.problems) > before:
+            reading.unreadable.add(path)
             continue
         given = DATA.build(values, path, [])
         try:
@@ -133,17 +162,23 @@ def measured(name: str, given: Data, reading: Reading) -> MeasuredTest:
     reading : takes the problems that are met
     """
     table = _opened(given.file, reading)
-    at = times(table, column(table, given.time, TIME_NAMES, "time"), given.date_format)
+    at, notes = _clock(table, given.time, given.date_format)
     pressure = numbers(table, column(table, given.pressure, PRESSURE_NAMES, "pressure"), "Pa")
     rates, rate_notes = _rates(given, table, at, reading)
     zero = 0.0
     if at.dates:  # elapsed times of all files count from the first instant of any
         begins = [float(np.nanmin(at.values)), *(start for start, _ in rates or ())]
         zero = min(begins)
-    notes: list[str] = list(rate_notes)
+    notes += rate_notes
     changes = None if rates is None else tuple((start - zero, rate) for start, rate in rates)
     record = _cleaned(at.values - zero, pressure, table, given.outliers, changes, notes)
     return MeasuredTest(name, given.well, *record, changes, tuple(notes))
+
+
+def _clock(table: Table, wanted: str | None, form: str | None) -> tuple[Readings, list[str]]:
+    """The times of a file, and what was noted of them."""
+    one, joined = with_time_of_day(table, column(table, wanted, TIME_NAMES, "time"))
+    return times(table, one, form), [note for note in (*table.notes, joined) if note]
 
 
 def _opened(text: str, reading: Reading) -> Table:
@@ -178,8 +213,10 @@ def _rates(
     if given.rates is None and given.rate is None:
         return None, []
     if isinstance(given.rates, tuple):
-        if at.dates:
-            raise _of("rates", "the pressures have dates, so give the rates in a file with dates")
+        if at.dates != isinstance(given.rates, Dated):
+            have = "have dates" if at.dates else "have elapsed times"
+            like = "[[2024-05-17 08:30:00, 5 m3/d], …]" if at.dates else "[[2 h, 5 m3/d], …]"
+            raise _of("rates", f"the pressures {have}, and so must the rates: {like}")
         found = np.array(given.rates, dtype=float).reshape(-1, 2)
         if np.any(np.diff(found[:, 0]) <= 0.0):
             raise _of("rates", "the times must increase")
@@ -188,12 +225,12 @@ def _rates(
         source = table if given.rates is None else _opened(given.rates, reading)
         rate = numbers(source, column(source, given.rate, RATE_NAMES, "rate"), "m3/s")
         named = given.rate_time or (given.time if given.rates is None else None)
-        clock = times(source, column(source, named, TIME_NAMES, "time"), given.date_format)
+        clock, seen = _clock(source, named, given.date_format)
     except TableError as error:
         raise _of("rates" if given.rates is not None else "rate", *error.problems) from None
     if clock.dates != at.dates:
         raise _of("rates", "one file has dates and the other elapsed times; give both the same")
-    notes: list[str] = []
+    notes = [f"rates: {note}" for note in seen] if source is not table else []
     whole = np.isfinite(rate) & np.isfinite(clock.values)
     lines, rate, start = source.lines[whole], rate[whole], clock.values[whole]
     if not len(start):
@@ -275,8 +312,9 @@ def _spikes(
     """Points that jump off a course on which the points around them agree.
 
     Each is held against the line between its neighbours, and that against the two points farther
-    out: a step or a bend, which these share, is no spike. Beside a change of the rate nothing is
-    judged.
+    out: a step or a bend, which these share, is no spike. Nor is the last point before a change of
+    the rate that nobody told, or the first after it: that lies on the line through the two points
+    of its own side. Beside a change that is told nothing is judged.
     """
     n = len(time)
     if n < 12:
@@ -300,7 +338,12 @@ def _spikes(
     peak = np.ones(len(here), dtype=bool)
     peak[1:] &= off[1:] > off[:-1]
     peak[:-1] &= off[:-1] >= off[1:]
-    found = peak & (off > SPIKE * np.maximum(scatter, floor)) & (off > 3.0 * bend)
+    scatter = np.maximum(scatter, floor)
+    found = peak & (off > SPIKE * scatter) & (off > 3.0 * bend)
+    for a, b in ((here - 2, here - 1), (here + 1, here + 2)):
+        share = (time[here] - time[a]) / (time[b] - time[a])
+        error = np.sqrt(1.0 + share**2 + (1.0 - share) ** 2)
+        found &= np.abs(pressure[here] - between(a, b)) > SPIKE * scatter * error
     for start, _ in changes or ():
         beside = np.searchsorted(time, start)
         found &= np.abs(here - beside) > 3

@@ -32,6 +32,8 @@ from demflow.sweep.study.scene import (
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
 
+DATE_PATTERN = r"^\s*\d{4}-?\d{2}-?\d{2}(?:[ T].*)?$"
+
 _BOUNDS = {
     "above": "exclusiveMinimum",
     "at_least": "minimum",
@@ -230,7 +232,11 @@ def _forms(section: Section) -> Schema:
     if isinstance(section, Times):
         return {"oneOf": [_schema(section.listed), _schema(section.spaced)]}
     if isinstance(section, RateForms):
-        return {"anyOf": [_schema(section.word), _schema(section.pairs)]}
+        pairs = _schema(section.pairs)
+        date = {"type": "string", "pattern": DATE_PATTERN}
+        dated = [date, *pairs["items"]["prefixItems"][1:]]
+        both = [pairs, {**pairs, "items": {**pairs["items"], "prefixItems": dated}}]
+        return {"anyOf": [_schema(section.word), *both]}
     if isinstance(section, ProbeForms):
         return {"oneOf": [_schema(section.point), _schema(section.line)]}
     if isinstance(section, InitialForms):

@@ -3,7 +3,7 @@
 `.csv`, `.txt`, `.dat`, `.tsv`
     a head of names, with units behind them (`p [psi]`, `p (psi)`) or in the line below; fields
     parted by commas, semicolons (then decimals may take a comma), tabs or spaces; `#` begins a
-    remark.
+    remark, and lines of fewer fields may stand above the head.
 `.las`
     LAS 2 and 1.2, by `lasio`.
 `.unsmry`, `.smspec`
@@ -27,6 +27,7 @@ from demflow.sweep.study.units import UnitError, nearest, parse_quantity
 
 LARGEST_TABLE = 100_000_000  # bytes
 MOST_TOLD = 8  # lines of one fault that are told
+MOST_ABOVE = 100  # lines of a logger's own that may stand above the head
 
 _HEAD = re.compile(r"\s*(?P<name>[^\[(]*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*")
 _WORDS = {  # what loggers write for units, in small letters
@@ -42,6 +43,7 @@ _DAYS = (
     "%d.%m.%Y",
     "%d/%m/%Y",
     "%m/%d/%Y",
+    "%Y-%m-%d",
     "%Y/%m/%d",
     "%d-%m-%Y",
     "%d-%b-%Y",
@@ -49,6 +51,8 @@ _DAYS = (
     "%d %b %Y",
 )
 _HOURS = ("%H:%M:%S", "%H:%M", "%H:%M:%S.%f", "%I:%M:%S %p", "%I:%M %p", "")
+_OF_DAY = re.compile(r"\d{1,2}:\d{2}(:\d{2}([.,]\d+)?)?(\s*[ap]\.?m\.?)?", re.IGNORECASE)
+_DAY = re.compile(r"\d{1,4}([-./ ])\w{1,3}\1\d{2,4}")
 _EMPTY = ("", "nan", "na", "n/a", "null", "none", "-", "--", "-999", "-999.25", "-9999")
 
 
@@ -74,6 +78,7 @@ class Table(NamedTuple):
     columns: tuple[Column, ...]
     lines: np.ndarray  # (n,) from 1; rows of a binary file are counted from 1
     word: str = "line"  # what a row is called
+    notes: tuple[str, ...] = ()  # what was left out
 
 
 class Readings(NamedTuple):
@@ -135,15 +140,13 @@ def _csv(files: Mapping[str, bytes]) -> Table:
     numbered = [(k, line) for k, line in numbered if line.strip() and line.lstrip()[0] != "#"]
     if len(numbered) < 2:
         raise TableError("there is a head at most and no data in it")
-    first = numbered[0][1]
-    outside = re.sub(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"", "", first)  # no comma of a unit counts
-    delimiter = next((one for one in ("\t", ";", ",") if one in outside), None)
-    rows: list[list[str]] = []
-    for _, line in numbered:
-        if delimiter is None:
-            rows.append(re.split(r"\s+(?![^\[(]*[\])])", line.strip()))
-        else:
-            rows.append([cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))])
+    above, delimiter = _head_of([line for _, line in numbered])
+    notes = ()
+    if above:
+        told = told_lines([k for k, _ in numbered[:above]])
+        notes = (f"{told} above the head, left out",)
+        numbered = numbered[above:]
+    rows = [_fields(line, delimiter) for _, line in numbered]
     if all(map(_is_number, filter(None, rows[0]))):
         raise TableError(
             f"line {numbered[0][0]} holds numbers; the first line names the columns, as in "
@@ -169,7 +172,36 @@ def _csv(files: Mapping[str, bytes]) -> Table:
         raise TableError(f"{told_lines(wide)}: more fields than the head has names")
     cells = [[row[k] if k < len(row) else "" for row in body] for k in range(len(heads))]
     columns = (Column(n, u, c) for (n, u), c in zip(heads, cells, strict=True))
-    return Table(tuple(columns), lines)
+    return Table(tuple(columns), lines, notes=notes)
+
+
+def _delimiter(line: str) -> str | None:
+    outside = re.sub(r"\[[^\]]*\]|\([^)]*\)|\"[^\"]*\"", "", line)  # no comma of a unit counts
+    return next((one for one in ("\t", ";", ",") if one in outside), None)
+
+
+def _fields(line: str, delimiter: str | None) -> list[str]:
+    if delimiter is None:
+        return re.split(r"\s+(?![^\[(]*[\])])", line.strip())
+    cells = [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter))]
+    while len(cells) > 1 and not cells[-1]:  # a delimiter at the end of a line parts nothing
+        cells.pop()
+    return cells
+
+
+def _head_of(lines: list[str]) -> tuple[int, str | None]:
+    """How many lines stand above the head, and what parts its fields.
+
+    The head is the first line that has as many fields as the last lines of the file; where none
+    has, the first.
+    """
+    last = lines[1:][-20:]
+    for k, line in enumerate(lines[: min(MOST_ABOVE + 1, len(lines) - 1)]):
+        delimiter = _delimiter(line)
+        counts = sorted(len(_fields(one, delimiter)) for one in last)
+        if len(_fields(line, delimiter)) >= counts[len(counts) // 2] > 1:
+            return k, delimiter
+    return 0, _delimiter(lines[0])
 
 
 def _las(files: Mapping[str, bytes]) -> Table:
@@ -265,8 +297,8 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
     ----------
     table : of a file
     wanted : as the study has it, `p [psi]` or `p`; None for whichever bears a likely name.
-    likely : beginnings of names, in small letters, the likeliest first; or, where they are whole
-        words, of words in names (`oil rate`).
+    likely : beginnings of names, in small letters, the likeliest first, whole words before others
+        and single letters as whole words only; or of words in names (`oil rate`).
     what : what is looked for, for messages.
 
     Raises
@@ -276,12 +308,13 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
     names = [one.name for one in table.columns]
     shown = ", ".join(f"'{name}'" for name in names[:12])
     if wanted is None:
-        first = [re.compile(re.escape(start)) for start in likely]
+        whole = [re.compile(rf"{re.escape(start)}\b") for start in likely]
+        first = [re.compile(re.escape(start)) for start in likely if len(start) > 1]
         later = [re.compile(rf".*\b{re.escape(start)}") for start in likely if len(start) > 3]
         found = next(
             (
                 hits
-                for form in (*first, *later)
+                for form in (*whole, *first, *later)
                 if (hits := [one for one in table.columns if form.match(one.name.lower())])
             ),
             [],
@@ -384,12 +417,60 @@ def _has_form(cell: str, form: str) -> bool:
     return True
 
 
-def _is_iso(cell: str) -> bool:
+def date_of(text: str) -> float | None:
+    """Seconds since 1970 of a date as ISO 8601 writes it, in UTC where it names no zone; or None.
+
+    Parameters
+    ----------
+    text : what may be a date; a plain number is none.
+    """
+    if _is_number(text):
+        return None
     try:
-        datetime.fromisoformat(cell)
+        return _instant(datetime.fromisoformat(text))
     except ValueError:
-        return False
-    return not _is_number(cell)
+        return None
+
+
+def _instant(date: datetime) -> float:
+    return (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+
+
+def _first(one: Column) -> str:
+    """The first cell that holds something, "" of numbers."""
+    cells = one.cells if isinstance(one.cells, list) else []
+    return next((c.strip() for c in cells if c.strip().lower() not in _EMPTY), "")
+
+
+def with_time_of_day(table: Table, one: Column) -> tuple[Column, str]:
+    """A column of days or of times of day joined with that of the other, and a note of it.
+
+    Any other column is given back as it is. Raises TableError where times of day have no days, or
+    where the other may be one of several columns.
+
+    Parameters
+    ----------
+    table : of a file
+    one : the column of times
+    """
+    of_day = _OF_DAY.fullmatch(_first(one)) is not None
+    if not of_day and not _DAY.fullmatch(_first(one)):
+        return one, ""
+    form = _DAY if of_day else _OF_DAY
+    others = [column for column in table.columns if form.fullmatch(_first(column))]
+    if not others and not of_day:
+        return one, ""
+    if len(others) != 1:
+        has, what = ("times of day", "days") if of_day else ("days", "times of day")
+        shown = ", ".join(f"'{column.name}'" for column in others[:8])
+        which = f"{shown} have {what}; name another as time" if others else f"no column has {what}"
+        raise TableError(f"column '{one.name}' holds {has}, as {_first(one)}, and {which}")
+    day, hour = (others[0], one) if of_day else (one, others[0])
+    pairs = zip(day.cells, hour.cells, strict=True)
+    empty = {*_EMPTY}
+    cells = [f"{d} {h}" if not {d.lower(), h.lower()} & empty else "" for d, h in pairs]
+    note = f"the days of column '{day.name}' with the times of '{hour.name}'"
+    return Column(f"{day.name} {hour.name}", "", cells), note
 
 
 def times(table: Table, one: Column, form: str | None) -> Readings:
@@ -406,7 +487,7 @@ def times(table: Table, one: Column, form: str | None) -> Readings:
     cells = one.cells
     texts = isinstance(cells, list)
     first = next((c for c in cells if c.strip().lower() not in _EMPTY), "") if texts else ""
-    if form and texts and not _has_form(first.strip(), form) and _is_iso(first.strip()):
+    if form and texts and not _has_form(first.strip(), form) and date_of(first.strip()) is not None:
         form = None  # one of several files, whose dates can be read in one way only
     if form is None and (not texts or _is_number(str(first))):
         return Readings(numbers(table, one, "s"))
@@ -422,7 +503,7 @@ def times(table: Table, one: Column, form: str | None) -> Readings:
         except ValueError:
             wrong.append(k)
             continue
-        values[k] = (date if date.tzinfo else date.replace(tzinfo=UTC)).timestamp()
+        values[k] = _instant(date)
     if wrong:
         shown = cells[wrong[0]][:40]
         how = f"not of the form '{form}'" if form else "neither a number nor a date as in "

@@ -246,6 +246,11 @@ def test_the_command_fits_a_file(tmp_path, capsys):
         assert abs(best[name]["value"] - truth[name]) < 2.0 * half < 0.2 * truth[name]
         assert best[name]["determined"]
     assert "plainly for fault" in told["choice"]
+    shown = {one["name"]: one for one in told["regimes"]["found"]}
+    assert told["regimes"]["since"] in (0.0, 2e5)
+    plateau = 1e-3 * ROCK.viscosity / (4.0 * math.pi * truth["permeability"] * ROCK.thickness)
+    assert shown["radial"]["level"] == pytest.approx(plateau, rel=0.1)
+    assert 0.0 < shown["radial"]["confidence"] < 1.0
     made = tmp_path / "results" / "fitted" / "fit"
     assert json.loads((made / "fit.json").read_text()) == told
     assert (made / "fit.png").read_bytes()[:4] == b"\x89PNG"

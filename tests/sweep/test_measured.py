@@ -108,6 +108,67 @@ def test_dates_of_gauge_and_rates_share_a_clock(tmp_path):
     assert "one file has dates and the other elapsed times" in problems[0]
 
 
+def test_days_and_times_of_day_may_stand_in_two_columns(tmp_path):
+    minutes = np.arange(30)
+    rows = [("17/05/2024", f"{23 + m // 60}:{m % 60:02d}", 3000 - m) for m in minutes]
+    rows += [("18/05/2024", f"0:{m:02d}", 2900 - m) for m in minutes]
+    named = {"date_format": '"%d/%m/%Y %H:%M"'}
+    for head in ("Date,Time,p [psi]", "Datum,Uhr,p [psi]"):
+        for wanted in ({"time": head.split(",")[0]}, {"time": head.split(",")[1]}):
+            test = good(tmp_path, {"a.csv": table_of(rows, head)}, **named, **wanted)
+            np.testing.assert_allclose(np.diff(test.time), [60.0] * 29 + [1860.0] + [60.0] * 29)
+            assert "the days of column" in test.notes[0]
+    head = "Date,Time,p [psi]"
+    for_rates = {"q.csv": table_of([("17/05/2024", "22:00", 80)], "Date,Time,q [bbl/d]")}
+    test = good(tmp_path, {"a.csv": table_of(rows, head), **for_rates}, rates="q.csv", **named)
+    assert test.time[0] == 3600.0
+    days = [(f"2024-05-{d:02d}", 3000 - d) for d in range(1, 29)]
+    test = good(tmp_path, {"a.csv": table_of(days, "Date,p [psi]")})
+    np.testing.assert_allclose(test.time, 86400.0 * np.arange(28))
+    alone = table_of([row[1:] for row in rows], "Time,p [psi]")
+    _, problems = read(tmp_path, {"a.csv": alone})
+    assert "column 'Time' holds times of day, as 23:00, and no column has days" in problems[0]
+    twice = table_of([(row[0], "1/1/2000", *row[1:]) for row in rows], "Date,Made,Time,p [psi]")
+    _, problems = read(tmp_path, {"a.csv": twice})
+    assert "'Date', 'Made' have days; name another as time" in problems[0]
+    assert good(tmp_path, {"a.csv": twice}, time="Date", **named).time[1] == 60.0
+
+
+def test_a_list_of_rates_has_dates_where_the_pressures_have(tmp_path):
+    rows = [(f"2024-05-17T08:{m:02d}:00", 3000 - m) for m in range(30)]
+    files = {"a.csv": table_of(rows, "date,p [psi]")}
+    dated = "[[2024-05-17 07:00:00, 100 bbl/d], [2024-05-17 08:00:00, 0 bbl/d]]"
+    test = good(tmp_path, files, rates=dated)
+    in_file = table_of([("2024-05-17T07:00:00", 100), ("2024-05-17T08:00:00", 0)], "date,q [bbl/d]")
+    same = good(tmp_path, files | {"q.csv": in_file}, rates="q.csv")
+    assert test.rate_changes == same.rate_changes
+    np.testing.assert_array_equal(test.time, same.time)
+    for rates, said in (
+        (RATES.removeprefix("rates: "), "the pressures have dates, and so must the rates"),
+        (dated.replace("2024-05-17 08:00:00", "1 h"), "so each is a date"),
+        (dated.replace("0 bbl/d", "0 psi"), "is a pressure"),
+        (dated.replace(", 0 bbl/d", ""), "is a list of 2 values"),
+        (dated.replace("17 08", "16 08"), "the times must increase"),
+    ):
+        _, problems = read(tmp_path, files, rates=rates)
+        assert said in problems[0], problems
+    _, problems = read(tmp_path, {"a.csv": table_of(gauge())}, rates=dated)
+    assert "the pressures have elapsed times, and so must the rates" in problems[0]
+
+
+def test_what_a_logger_writes_above_the_head_is_left_out_and_told(tmp_path):
+    above = "Well: A-1\nGauge 12345\n\nstart, 17 May\n"
+    wide = [(t, p, 88.1) for t, p in gauge()]
+    text = above + table_of(wide, "t [h],p [psi],temperature [degC]")
+    test = good(tmp_path, {"a.csv": text})
+    np.testing.assert_allclose(test.pressure, PRESSURES * PSI, rtol=1e-12)
+    assert test.notes == ("lines 1, 2, 4 above the head, left out",)
+    assert test.lines[0] == 6
+    trailing = "".join(f"{line},\n" for line in table_of(gauge()).splitlines()[1:])
+    test = good(tmp_path, {"a.csv": "t [h],p [psi]\n" + trailing})
+    assert len(test.time) == len(TIMES)
+
+
 def test_disorder_is_put_right_and_told_with_its_lines(tmp_path):
     rows = gauge()
     shuffled = [*rows[:10], rows[12], rows[10], rows[11], *rows[13:]]
@@ -146,12 +207,10 @@ def test_neither_noise_nor_a_change_of_the_rate_is_a_spike(tmp_path, seed):
     times = np.concatenate([np.geomspace(0.001, 10.0, 120), 10.0 + np.geomspace(0.001, 10.0, 120)])
     fall = 40.0 * np.log1p(times / 0.0005)
     fall[120:] -= 40.0 * np.log1p((times[120:] - 10.0) / 0.0005)
-    test = good(
-        tmp_path,
-        {"a.csv": table_of(gauge(times, 3000.0 - fall + rng.normal(0, 0.5, 240)))},
-        rates="[[0 h, 100 bbl/d], [10 h, 0 m3/s]]",
-    )
+    files = {"a.csv": table_of(gauge(times, 3000.0 - fall + rng.normal(0, 0.5, 240)))}
+    test = good(tmp_path, files, rates="[[0 h, 100 bbl/d], [10 h, 0 m3/s]]")
     assert test.notes == ()
+    assert good(tmp_path, files).notes == ()  # nobody told of the change
 
 
 def test_gaps_and_drift_are_told(tmp_path):
@@ -282,6 +341,7 @@ fit:
         ("[1 mD, 1000 mD]", "[0 mD, 5 mD]", "must be above zero"),
         (", viscosity: 1 cP", "", "fit.reservoir lacks viscosity"),
         ("model: homogeneous", "model: fault", "fault needs distance"),
+        ("file: a.csv", "fil: a.csv", "unknown key 'fil' in data.test"),
         ("fit:", "observe: [well_pressure]\nfit:", "'observe' is for a scene"),
     ],
 )
@@ -296,3 +356,4 @@ def test_a_fit_that_cannot_be_is_refused_at_its_place(tmp_path, old, new, said):
     with pytest.raises(StudyError) as raised:
         load_study(path, alone=True)
     assert said in str(raised.value)
+    assert "there is no data.test" not in str(raised.value)  # it is there, and told to be wrong

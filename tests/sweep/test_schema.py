@@ -39,6 +39,8 @@ def test_it_is_json_of_the_stated_dialect(schema):
         SMALL,
         SMALL.replace("{p: {at: [3, 0]}}", ""),
         SMALL + "limits: {time: 10 min, memory: 4 GB}\nfigures: {maps: [1 s], compare: linear}\n",
+        SMALL
+        + "data: {t: {file: a.csv, rates: [['2024-05-17 08:30', 5 m3/d], ['2024-05-18', 0]]}}\n",
     ],
 )
 def test_it_takes_what_loads(schema, text):
