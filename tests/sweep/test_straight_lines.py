@@ -91,6 +91,22 @@ def test_stated_errors_cover_the_scatter():
     assert 3 <= missed_skin <= 20
 
 
+def test_errors_of_a_line_that_is_found_hold_what_storage_leaves():
+    """The derivative is flat within its tolerance before storage has died away."""
+    rng = np.random.default_rng(3)
+    rates = ((0.0, 1e-3), (40 * HOUR, 0.0))
+    held_k = held_skin = 0
+    for storage in np.geomspace(1e-9, 3e-8, 40):
+        times, pressure = record(rates, wellbore_storage=storage)
+        noisy = pressure + rng.normal(0.0, 1e-4 * np.ptp(pressure), len(times))
+        found = straight_line(times, noisy, rates, ROCK)
+        held_k += abs(found.permeability - K) <= found.permeability_error
+        held_skin += abs(found.skin_factor - SKIN) <= found.skin_error
+        assert found.permeability_error < 0.1 * K
+    assert held_k >= 36
+    assert held_skin >= 36
+
+
 @pytest.mark.parametrize(
     ("rates", "options", "told"),
     [
