@@ -141,7 +141,7 @@ def _csv(files: Mapping[str, bytes]) -> Table:
     if len(numbered) < 2:
         raise TableError("there is a head at most and no data in it")
     above, delimiter = _head_of([line for _, line in numbered])
-    notes = ()
+    notes: tuple[str, ...] = ()
     if above:
         told = told_lines([k for k, _ in numbered[:above]])
         notes = (f"{told} above the head, left out",)
