@@ -28,6 +28,7 @@ from demflow.sweep.study.tables import (
     told_lines,
     with_time_of_day,
 )
+from demflow.sweep.study.units import UnitError, parse_quantity
 from demflow.sweep.study.yaml_source import Mapping, Node, Scalar, Sequence
 
 TIME_NAMES = ("time", "elapsed", "date", "t", "zeit", "dept")
@@ -45,7 +46,7 @@ class MeasuredTest(NamedTuple):
 
     name: str
     well: str | None
-    time: np.ndarray  # (n,) s, increasing
+    time: np.ndarray  # (n,) s, increasing; below zero before the study's clock begins
     pressure: np.ndarray  # (n,) Pa
     lines: np.ndarray  # (n,) where each stands in its file
     rate_changes: tuple[tuple[float, float], ...] | None  # (s, m³/s), in order
@@ -71,6 +72,11 @@ class Data:
     )
     date_format: str | None = parameter(
         default=None, help="form of dates, as in %d.%m.%Y %H:%M:%S; ISO 8601 needs none"
+    )
+    zero: str | None = parameter(
+        default=None,
+        help="date or time at which the study's clock begins; by default, of dates, that of the "
+        "first rate, or of the first point where no rates are given",
     )
     outliers: str = parameter(
         default="leave_out", choices=("leave_out", "keep"), help="what becomes of lone spikes"
@@ -155,6 +161,8 @@ def read_data(node: Node | None, reading: Reading) -> dict[str, MeasuredTest]:
 def measured(name: str, given: Data, reading: Reading) -> MeasuredTest:
     """A measured test from its files. Raises TableError; its `key` says of which part.
 
+    Its times are those of the study's clock.
+
     Parameters
     ----------
     name : of the test
@@ -165,14 +173,26 @@ def measured(name: str, given: Data, reading: Reading) -> MeasuredTest:
     at, notes = _clock(table, given.time, given.date_format)
     pressure = numbers(table, column(table, given.pressure, PRESSURE_NAMES, "pressure"), "Pa")
     rates, rate_notes = _rates(given, table, at, reading)
-    zero = 0.0
-    if at.dates:  # elapsed times of all files count from the first instant of any
-        begins = [float(np.nanmin(at.values)), *(start for start, _ in rates or ())]
-        zero = min(begins)
+    zero = _zero(given, at, rates)
     notes += rate_notes
     changes = None if rates is None else tuple((start - zero, rate) for start, rate in rates)
     record = _cleaned(at.values - zero, pressure, table, given.outliers, changes, notes)
     return MeasuredTest(name, given.well, *record, changes, tuple(notes))
+
+
+def _zero(given: Data, at: Readings, rates: tuple[tuple[float, float], ...] | None) -> float:
+    """What the clock of the files shows where that of the study begins, s."""
+    if given.zero is None:
+        first = rates[0][0] if rates else float(np.nanmin(at.values))
+        return first if at.dates else 0.0
+    date = date_of(given.zero)
+    if (date is not None) != at.dates:
+        like = "a date, as 2024-05-17 08:30:00" if at.dates else "an elapsed time, as 2 h"
+        raise _of("zero", f"the times of the file need {like}")
+    try:
+        return parse_quantity(given.zero, "s", "it") if date is None else date
+    except UnitError as error:
+        raise _of("zero", str(error)) from None
 
 
 def _clock(table: Table, wanted: str | None, form: str | None) -> tuple[Readings, list[str]]:

@@ -156,6 +156,31 @@ def test_a_list_of_rates_has_dates_where_the_pressures_have(tmp_path):
     assert "the pressures have elapsed times, and so must the rates" in problems[0]
 
 
+def test_the_clock_begins_with_the_first_rate_or_where_the_study_says(tmp_path):
+    rows = [(f"2024-05-17T08:{m:02d}:00", 3000 - m) for m in range(30)]
+    files = {"a.csv": table_of(rows, "date,p [psi]")}
+    dated = "[[2024-05-17 08:10:00, 100 bbl/d]]"
+    minutes = np.arange(30.0)
+    test = good(tmp_path, files, rates=dated)
+    np.testing.assert_allclose(test.time, 60.0 * (minutes - 10.0))
+    assert test.rate_changes[0][0] == 0.0
+    assert good(tmp_path, files).time[0] == 0.0
+    test = good(tmp_path, files, rates=dated, zero="2024-05-17T08:05")
+    np.testing.assert_allclose(test.time, 60.0 * (minutes - 5.0))
+    assert test.rate_changes[0][0] == 300.0
+    plain = {"a.csv": table_of(gauge())}
+    test = good(tmp_path, plain, **{"rates": "[[1 h, 100 bbl/d]]", "zero": "1 h"})
+    np.testing.assert_allclose(test.time, (TIMES - 1.0) * 3600.0, atol=1e-9)
+    assert test.rate_changes[0][0] == 0.0
+    for made, zero, said in (
+        (files, "1 h", "need a date"),
+        (plain, "2024-05-17", "need an elapsed time"),
+        (plain, "1 psi", "is a pressure"),
+    ):
+        _, problems = read(tmp_path, made, zero=zero)
+        assert said in problems[0]
+
+
 def test_what_a_logger_writes_above_the_head_is_left_out_and_told(tmp_path):
     above = "Well: A-1\nGauge 12345\n\nstart, 17 May\n"
     wide = [(t, p, 88.1) for t, p in gauge()]
