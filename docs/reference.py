@@ -39,6 +39,7 @@ from demflow.sweep.study.scene import (
     WordOr,
     WordOrBlock,
 )
+from demflow.sweep.study.schedules import Schedule
 from demflow.sweep.study.schema import study_schema
 from demflow.sweep.study.sections import Parameter, Section
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
@@ -355,7 +356,10 @@ def _form(parameter: Parameter) -> str:
     bounds = " and ".join(
         f"{sign} {meta[word]:g}" for word, sign in _BOUNDS.items() if meta.get(word) is not None
     )
-    return ", ".join(one for one in (_kind(parameter.type, parameter.unit), bounds) if one)
+    kind = _kind(parameter.type, parameter.unit)
+    if isinstance(parameter, Schedule):
+        kind += ", or a file of them"
+    return ", ".join(one for one in (kind, bounds) if one)
 
 
 def _kind(kind: Any, unit: str) -> str:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from demflow.model.parameters import SceneError
+from demflow.sweep.study.schedules import Schedule
 from demflow.sweep.study.sections import (
     NoParameter,
     Parameter,
@@ -486,6 +487,8 @@ def _section(
         inner = _alternatives(arguments[0])
         if all(dataclasses.is_dataclass(kind) for kind in inner):
             return Named(blocks_of(inner, words, within))
+    if kinds[0] == tuple[tuple[float, float], ...] and declared.metadata["unit"][:3] == "s, ":
+        return Schedule(declared, kinds[0], optional)
     return Parameter(declared, kinds[0], optional)
 
 

@@ -6,34 +6,30 @@ Nothing is mended in silence: each line that is sorted, joined or left out is to
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from demflow.model.parameters import parameter
 from demflow.sweep.study.blocks import Block, block_of
-from demflow.sweep.study.scene import kept_name
-from demflow.sweep.study.sections import NamedFile, NoParameter, Parameter, Reading, Section
+from demflow.sweep.study.schedules import opened
+from demflow.sweep.study.sections import NoParameter, Parameter, Reading, Section
 from demflow.sweep.study.tables import (
-    LARGEST_TABLE,
+    PRESSURE_NAMES,
+    RATE_NAMES,
+    TIME_NAMES,
     Readings,
     Table,
     TableError,
     column,
     date_of,
     numbers,
-    read_table,
     times,
     told_lines,
     with_time_of_day,
 )
 from demflow.sweep.study.units import UnitError, parse_quantity
 from demflow.sweep.study.yaml_source import Mapping, Node, Scalar, Sequence
-
-TIME_NAMES = ("time", "elapsed", "date", "t", "zeit", "dept")
-PRESSURE_NAMES = ("pressure", "bhp", "wbhp", "p", "pwf", "druck")
-RATE_NAMES = ("rate", "wopr", "wwpr", "q", "flow")
 
 SPIKE = 8.0  # times the scatter that a lone point lies off its neighbours
 GAP = 10.0  # times the steps around it that a step without data is long
@@ -169,7 +165,7 @@ def measured(name: str, given: Data, reading: Reading) -> MeasuredTest:
     given : its files and columns
     reading : takes the problems that are met
     """
-    table = _opened(given.file, reading)
+    table = opened(given.file, reading)
     at, notes = _clock(table, given.time, given.date_format)
     pressure = numbers(table, column(table, given.pressure, PRESSURE_NAMES, "pressure"), "Pa")
     rates, rate_notes = _rates(given, table, at, reading)
@@ -201,31 +197,6 @@ def _clock(table: Table, wanted: str | None, form: str | None) -> tuple[Readings
     return times(table, one, form), [note for note in (*table.notes, joined) if note]
 
 
-def _opened(text: str, reading: Reading) -> Table:
-    named = Path(text)
-    names = [named]
-    if named.suffix.lower() in (".unsmry", ".smspec"):
-        upper = named.suffix.isupper()
-        other = ".smspec" if named.suffix.lower() == ".unsmry" else ".unsmry"
-        names.append(named.with_suffix(other.upper() if upper else other))
-    files: dict[str, bytes] = {}
-    for name in names:
-        kept = kept_name(str(name))
-        path = reading.folder / kept
-        if not path.is_file():
-            path = reading.folder / name
-        if not path.is_file():
-            raise TableError(f"{name}: there is no such file in {reading.folder.resolve()}")
-        if path.stat().st_size > LARGEST_TABLE:
-            raise TableError(f"{name}: it is larger than {LARGEST_TABLE // 1_000_000} MB")
-        files[name.name] = path.read_bytes()
-        reading.files[kept] = NamedFile(path, files[name.name])
-    try:
-        return read_table(files)
-    except TableError as error:
-        raise TableError(*(f"{text}: {what}" for what in error.problems)) from None
-
-
 def _rates(
     given: Data, table: Table, at: Readings, reading: Reading
 ) -> tuple[tuple[tuple[float, float], ...] | None, list[str]]:
@@ -242,7 +213,7 @@ def _rates(
             raise _of("rates", "the times must increase")
         return tuple(map(tuple, found.tolist())), []
     try:
-        source = table if given.rates is None else _opened(given.rates, reading)
+        source = table if given.rates is None else opened(given.rates, reading)
         rate = numbers(source, column(source, given.rate, RATE_NAMES, "rate"), "m3/s")
         named = given.rate_time or (given.time if given.rates is None else None)
         clock, seen = _clock(source, named, given.date_format)

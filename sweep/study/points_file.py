@@ -12,8 +12,7 @@ import re
 from typing import Any, NamedTuple
 
 from demflow.sweep.printable import shortened
-from demflow.sweep.study.scene import kept_name
-from demflow.sweep.study.sections import NamedFile, Parameter, Reading
+from demflow.sweep.study.sections import NamedFile, Parameter, Reading, kept_name
 from demflow.sweep.study.units import bare
 from demflow.sweep.study.yaml_source import Mapping, Place, Scalar, Sequence
 

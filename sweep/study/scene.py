@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import hashlib
 import math
 import typing
 from collections.abc import Iterator
@@ -56,13 +55,13 @@ from demflow.sweep.study.blocks import (
 )
 from demflow.sweep.study.map_files import LARGEST_FILE, MapError, read_map
 from demflow.sweep.study.sections import (
-    KEPT,
     NamedFile,
     NoParameter,
     Parameter,
     Reading,
     Section,
     join,
+    kept_name,
     shape,
 )
 from demflow.sweep.study.units import nearest
@@ -405,12 +404,6 @@ def contents(text: str, reading: Reading) -> dict[str, bytes]:
         files[name.name] = path.read_bytes()
         reading.files[kept] = NamedFile(path, files[name.name])
     return files
-
-
-def kept_name(text: str) -> str:
-    """Where a copy of a file that a study names is kept beside the copy of the study."""
-    digest = hashlib.sha256(text.encode()).hexdigest()[:12]
-    return f"{KEPT}/{digest}-{Path(text).name}"
 
 
 @functools.lru_cache(maxsize=16)

@@ -29,7 +29,9 @@ from demflow.sweep.study.scene import (
     WordOr,
     WordOrBlock,
 )
+from demflow.sweep.study.schedules import Schedule
 from demflow.sweep.study.sections import Parameter, Section
+from demflow.sweep.study.tables import READERS
 from demflow.sweep.study.units import QUANTITY_PATTERN, example
 
 DATE_PATTERN = r"^\s*\d{4}-?\d{2}-?\d{2}(?:[ T].*)?$"
@@ -278,6 +280,9 @@ def _parameter(parameter: Parameter) -> Schema:
     default = parameter.declared.default
     if isinstance(default, int | float | str) and default == default:  # NaN: there is none
         schema["default"] = default
+    if isinstance(parameter, Schedule):
+        file = {"type": "string", "pattern": rf"\.({'|'.join(kind[1:] for kind in READERS)})$"}
+        schema = {"anyOf": [schema, file]}
     return schema | {"description": _described(parameter)}
 
 

@@ -8,6 +8,7 @@ is noted with its place, and a stand-in takes the place of the value.
 from __future__ import annotations
 
 import dataclasses
+import hashlib
 import math
 import re
 import typing
@@ -99,6 +100,12 @@ class Reading:
         """Whether the path, or something that contains it, could not be read."""
         parts = path.split(".")
         return any(".".join(parts[:k]) in self.unreadable for k in range(len(parts) + 1))
+
+
+def kept_name(text: str) -> str:
+    """Where a copy of a file that a study names is kept beside the copy of the study."""
+    digest = hashlib.sha256(text.encode()).hexdigest()[:12]
+    return f"{KEPT}/{digest}-{Path(text).name}"
 
 
 class Section(ABC):

@@ -26,6 +26,9 @@ import numpy as np
 from demflow.sweep.study.units import UnitError, nearest, parse_quantity
 
 LARGEST_TABLE = 100_000_000  # bytes
+TIME_NAMES = ("time", "elapsed", "date", "t", "zeit", "dept")
+PRESSURE_NAMES = ("pressure", "bhp", "wbhp", "p", "pwf", "druck")
+RATE_NAMES = ("rate", "wopr", "wwpr", "q", "flow")
 MOST_TOLD = 8  # lines of one fault that are told
 MOST_ABOVE = 100  # lines of a logger's own that may stand above the head
 
@@ -192,12 +195,14 @@ def _fields(line: str, delimiter: str | None) -> list[str]:
 def _head_of(lines: list[str]) -> tuple[int, str | None]:
     """How many lines stand above the head, and what parts its fields.
 
-    The head is the first line that has as many fields as the last lines of the file; where none
-    has, the first.
+    The head is the first line that has as many fields as the last lines of the file, parted by the
+    same sign; where none has, the first.
     """
     last = lines[1:][-20:]
     for k, line in enumerate(lines[: min(MOST_ABOVE + 1, len(lines) - 1)]):
         delimiter = _delimiter(line)
+        if delimiter != _delimiter(lines[-1]):
+            continue
         counts = sorted(len(_fields(one, delimiter)) for one in last)
         if len(_fields(line, delimiter)) >= counts[len(counts) // 2] > 1:
             return k, delimiter
@@ -290,7 +295,13 @@ def told_lines(lines: Any, word: str = "line") -> str:
     return f"{word} {text}" if len(lines) == 1 else f"{word}s {text}"
 
 
-def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str) -> Column:
+def column(
+    table: Table,
+    wanted: str | None,
+    likely: tuple[str, ...],
+    what: str,
+    otherwise: str = "say which",
+) -> Column:
     """The column that a study means; with its unit, where either of them says one.
 
     Parameters
@@ -300,6 +311,7 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
     likely : beginnings of names, in small letters, the likeliest first, whole words before others
         and single letters as whole words only; or of words in names (`oil rate`).
     what : what is looked for, for messages.
+    otherwise : what to do where no column, or more than one, bears a likely name.
 
     Raises
     ------
@@ -321,7 +333,7 @@ def column(table: Table, wanted: str | None, likely: tuple[str, ...], what: str)
         )
         if len(found) != 1:
             few = "no column is" if not found else "several columns could be"
-            raise TableError(f"{few} the {what}; say which: the columns are {shown}")
+            raise TableError(f"{few} the {what}; {otherwise}: the columns are {shown}")
         return found[0]
     name, unit = split_head(wanted)
     found = [one for one in table.columns if one.name == name]
