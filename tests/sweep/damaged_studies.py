@@ -70,7 +70,7 @@ scene:
     producer: {at: [0 m, 0 m], radius: 0.3 m, rate: 1e-6 m3/s, least_pressure: 2 MPa}
     injector: {at: [2 m, -3 m], radius: 0.3 m, schedule: [[0 s, 0 m3/s], [2 h, -1e-6 m3/s]],
                largest_pressure: 12 MPa}
-    left: {at: [-5 m, 0 m], radius: 0.2 m, rate: 1e-7 m3/s, group: field}
+    left: {at: [-5 m, 0 m], radius: 0.2 m, schedule: rates.csv, group: field}
     right: {at: [5 m, 0 m], radius: 0.2 m, rate: 1e-7 m3/s, group: field}
   boundaries: {left: 7 MPa, drift: 0 Pa}
   probes: {p: {at: [3 m, 0 m]}}
@@ -109,7 +109,9 @@ fit:
 )
 MODELLED = """\
 study: modelled
-data: {test: {file: gauge.csv, time: "t [h]", pressure: "p [psi]", rates: [[0 s, 10 m3/d]]}}
+data:
+  test: {file: dated.csv, date_format: "%d/%m/%Y %H:%M", zero: 2024-05-17 08:30,
+         rates: [[2024-05-17 08:30, 10 m3/d], [2024-05-17 09:30, 0 m3/d]]}
 fit:
   to: data.test
   models: [homogeneous, fault]
@@ -122,6 +124,8 @@ fit:
 # what lies beside a study
 FILES = {
     "gauge.csv": b"t [h],p [psi]\n0,3000\n1,2950\n2,2930\n2,2930\n3,2990\n",
+    "dated.csv": b"Well A-1\nDate,Time,p [psi]\n17/05/2024,08:30,3000\n17/05/2024,09:30,2950\n"
+    b"17/05/2024,09:31,2970\n",
     "rates.csv": b"time [h];rate [m3/d]\n0;10\n2;0\n",
     "points.csv": b"stress.xx [MPa]\n10\n20\n30\n",
     "notes.md": b"# What is asked\n\nHow *much* flows, and [where](https://example.org)?\n",
