@@ -27,7 +27,7 @@ from demflow.sweep.study.units import UnitError, nearest, parse_quantity
 
 LARGEST_TABLE = 100_000_000  # bytes
 TIME_NAMES = ("time", "elapsed", "date", "t", "zeit", "dept")
-PRESSURE_NAMES = ("pressure", "bhp", "wbhp", "p", "pwf", "druck")
+PRESSURE_NAMES = ("pressure", "pres", "bhp", "wbhp", "p", "pwf", "druck")
 RATE_NAMES = ("rate", "wopr", "wwpr", "q", "flow")
 MOST_TOLD = 8  # lines of one fault that are told
 MOST_ABOVE = 100  # lines of a logger's own that may stand above the head

@@ -309,6 +309,12 @@ def test_las_files_are_read(tmp_path):
     np.testing.assert_allclose(test.time, TIMES * 3600.0)
     np.testing.assert_allclose(test.pressure, PRESSURES * PSI)
     assert "row 41 without time or pressure" in test.notes[0]
+    named = good(tmp_path, {"a.las": LAS + rows + "\n"})
+    np.testing.assert_array_equal(named.pressure, test.pressure)
+    days = "\n".join(f"17/05/2024 08:{m:02d} {3000.0 - m}" for m in range(30))
+    in_two = LAS.replace(" TIME.H : elapsed", " DATE. : day\n TIME. : time of day")
+    dated = good(tmp_path, {"a.las": in_two + days + "\n"}, date_format='"%d/%m/%Y %H:%M"')
+    np.testing.assert_allclose(dated.time, 60.0 * np.arange(30))
     _, problems = read(tmp_path, {"b.las": "no las at all"})
     assert "no LAS file, or a damaged one" in problems[0]
 
