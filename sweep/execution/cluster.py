@@ -43,7 +43,8 @@ class RemotePool(Pool):
         try:
             _check_address(self.scheduler)
             security = _security(self.scheduler)
-            await asyncio.wait_for(self._connect(security), CONNECT_SECONDS)
+            async with asyncio.timeout(CONNECT_SECONDS):
+                await self._connect(security)
         except BaseException as error:
             self._config.__exit__(None, None, None)
             if isinstance(error, OSError | ValueError | TypeError):  # a TimeoutError too
@@ -73,8 +74,8 @@ class RemotePool(Pool):
         """What the scheduler knows of its workers."""
         scheduler: Any = self.client.scheduler
         try:
-            asked = scheduler.identity(n_workers=-1)
-            return dict((await asyncio.wait_for(asked, STOPPED_SECONDS))["workers"])
+            async with asyncio.timeout(STOPPED_SECONDS):
+                return dict((await scheduler.identity(n_workers=-1))["workers"])
         except TimeoutError:
             why = f"has not answered for {STOPPED_SECONDS:g} s"
         except (OSError, KeyError, AttributeError):  # the last two: the client gave up

@@ -232,7 +232,8 @@ class _Execution:
         if why is None:
             greeting = self.pool.call(address, introduce, self.lots.table, self.pool.parent)
             try:
-                found = await asyncio.wait_for(greeting, GREETING_SECONDS)
+                async with asyncio.timeout(GREETING_SECONDS):
+                    found = await greeting
                 other = [name for name, own in self.own.items() if found.get(name) != own]
                 if other:
                     told = ", ".join(f"{n} {found.get(n)} (here {self.own[n]})" for n in other)
@@ -422,7 +423,7 @@ class _Execution:
     async def _watch(self) -> None:
         """Find workers that come and go, and end what takes too much."""
         looked = time.monotonic()
-        while True:
+        while not self.over.done():
             listed = await self.pool.look()
             now = time.monotonic()
             late = now - looked - self.pool.look_every
@@ -486,7 +487,7 @@ class _Execution:
 
     async def _show(self) -> None:
         """Say now and then how far the run is."""
-        while True:
+        while not self.over.done():
             self.state = self.now()
             await asyncio.sleep(TICK)
 

@@ -2,7 +2,8 @@
 
 `sweep.execution.loop` decides what runs where and when; a pool starts the workers or finds
 them, carries one lot at a time to a worker of its choice, and ends it when told to. All of it
-lives in the event loop of one thread.
+lives in the event loop of one thread. To bound a wait `asyncio.timeout` serves, not `wait_for`,
+which before Python 3.12 loses a cancellation that comes together with the answer.
 """
 
 from __future__ import annotations
@@ -123,4 +124,5 @@ class Pool(ABC):
         with suppress(Exception):
             for topic in self._topics:
                 self.client.unsubscribe_topic(topic)
-            await asyncio.wait_for(self.client.close(timeout=CLOSING_SECONDS), CLOSING_SECONDS)
+            async with asyncio.timeout(CLOSING_SECONDS):
+                await self.client.close(timeout=CLOSING_SECONDS)

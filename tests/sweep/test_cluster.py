@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import operator
 import os
 import re
@@ -10,6 +11,7 @@ import socket
 import threading
 import time
 from contextlib import ExitStack
+from types import SimpleNamespace
 
 import psutil
 import pytest
@@ -19,12 +21,13 @@ from demflow.model.outcome import Status
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import RunError, SchedulerError
 from demflow.sweep.execution import worker
+from demflow.sweep.execution.cluster import RemotePool
 from demflow.sweep.execution.worker import Lot, Task, run_lot
 from demflow.sweep.store.products import Store, pack, unpack
 from demflow.sweep.store.versions import agreed
 from tests.sweep import toy_stages, toys
 from tests.sweep.clusters import certificate, dask_cluster, extra_worker
-from tests.sweep.processes import products, start
+from tests.sweep.processes import products, start, wait_until
 from tests.sweep.test_engine import assert_same_bits
 
 pytestmark = pytest.mark.slow
@@ -58,8 +61,7 @@ def same_bits_though_a_worker_is_killed(folder, run, nanny) -> None:
     killed = []
 
     def kill_one() -> None:
-        while not list(folder.glob("stormy/store/*/*.product")):
-            time.sleep(0.05)
+        wait_until(lambda: list(folder.glob("stormy/store/*/*.product")))
         family = psutil.Process(nanny.pid).children(recursive=True)
         victim = next(child for child in family if "spawn_main" in " ".join(child.cmdline()))
         killed.append(victim.pid)
@@ -201,8 +203,7 @@ def test_a_worker_of_many_threads_is_refused_before_and_passed_over_in_mid_run(c
     joined = ExitStack()
 
     def join() -> None:
-        while not list(tmp_path.glob("results/store/*/*.product")):
-            time.sleep(0.05)
+        wait_until(lambda: list(tmp_path.glob("results/store/*/*.product")))
         joined.enter_context(extra_worker(address, folder / "wide", "--nthreads", "3"))
 
     joiner = threading.Thread(target=join)
@@ -244,9 +245,8 @@ def test_no_scheduler_is_wrong_usage(cluster, tmp_path, monkeypatch, capsys):
     with socket.create_server(("127.0.0.1", 0)) as mute:
         silent = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         log = cluster.folder / "worker-0" / "log"
-        while not (found := re.findall(r"Start worker at: +(\S+)", log.read_text())):
-            time.sleep(0.05)
-        worker = found[-1]
+        wait_until(lambda: "Start worker at" in log.read_text())
+        worker = re.findall(r"Start worker at: +(\S+)", log.read_text())[-1]
         wrong = (
             "tcp://127.0.0.1:1",
             "foo",
@@ -345,6 +345,27 @@ def test_a_scheduler_that_stands_still_is_told_and_ends_the_run(tmp_path, monkey
         finally:
             cluster.scheduler.send_signal(signal.SIGCONT)
     assert seen[-1].still > 1.0
+
+
+def test_a_look_that_is_called_off_just_as_its_answer_comes_has_no_answer():
+    """A watch that went on looking then would never end."""
+
+    async def look() -> None:
+        answered = asyncio.get_running_loop().create_future()
+
+        async def identity(n_workers: int) -> dict[str, dict]:
+            return await answered
+
+        pool = RemotePool("tcp://127.0.0.1:1")
+        pool.client = SimpleNamespace(scheduler=SimpleNamespace(identity=identity))
+        looking = asyncio.ensure_future(pool.look())
+        await asyncio.sleep(0.01)
+        answered.set_result({"workers": {}})
+        looking.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await looking
+
+    asyncio.run(look())
 
 
 def test_a_worker_without_a_store_gives_back_the_file_it_would_store():
