@@ -9,7 +9,8 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -49,6 +50,15 @@ class Compilation:
             self.seconds += seconds
             self.cpu_seconds += time.process_time() - self._cpu
             self._tell(seconds)
+
+    @contextmanager
+    def under_way(self) -> Iterator[None]:
+        """Count what is done within a `with` block."""
+        self.start()
+        try:
+            yield
+        finally:
+            self.end()
 
     def _tell(self, seconds: float | None) -> None:
         if self.listener is not None:

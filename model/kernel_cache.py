@@ -17,12 +17,13 @@ import os
 import stat
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from functools import cache
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
-from typing import Any
+from typing import IO, Any
 
 import numba
 import numpy as np
@@ -31,6 +32,9 @@ from numba.core import caching
 from demflow.model.compilation import compilation
 
 PACKAGE = __name__.rpartition(".")[0]  # kernels name nothing of ours outside it
+# s to wait for another process, which may have been stopped in the middle of its turn
+INDEX_PATIENCE = 5.0  # of reading or writing some kilobytes
+COMPILING_PATIENCE = 60.0
 
 
 @cache
@@ -168,12 +172,13 @@ class _Files(caching.IndexDataCacheFile):
     """Index and data of one kernel, read and written by one process at a time."""
 
     def load(self, key: Any) -> Any:
-        with self._turn():
-            return super().load(key)
+        with self._turn() as mine:
+            return super().load(key) if mine else None
 
     def save(self, key: Any, data: Any) -> None:
-        with self._turn():
-            super().save(key, data)
+        with self._turn() as mine:
+            if mine:
+                super().save(key, data)
 
     def _load_index(self) -> dict[Any, str]:
         with suppress(*UNREADABLE):
@@ -185,13 +190,32 @@ class _Files(caching.IndexDataCacheFile):
             return super()._load_data(name)
         return None  # compiled again
 
-    @contextmanager
-    def _turn(self) -> Iterator[None]:
-        folder = Path(self._cache_path)
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / ".lock").open("w") as file:
-            fcntl.flock(file, fcntl.LOCK_EX)
-            yield
+    def _turn(self) -> AbstractContextManager[bool]:
+        return _turn(Path(self._cache_path) / ".lock", INDEX_PATIENCE)
+
+
+@contextmanager
+def _turn(
+    lock: Path, patience: float, waiting: Callable[[], AbstractContextManager[Any]] = nullcontext
+) -> Iterator[bool]:
+    """Hold a lock, or tell that no turn has come; `waiting` is entered meanwhile."""
+    lock.parent.mkdir(parents=True, exist_ok=True)
+    with lock.open("w") as file:
+        mine = _taken(file)
+        if not mine:
+            with waiting():
+                end = time.monotonic() + patience
+                while not (mine := _taken(file)) and time.monotonic() < end:
+                    time.sleep(0.01)
+        yield mine
+
+
+def _taken(file: IO[str]) -> bool:
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 class KernelCache(caching.FunctionCache):
@@ -224,24 +248,13 @@ class LateCache:
         self._function = function
         self._made: KernelCache | None = None
 
-    @contextmanager
-    def alone(self) -> Iterator[None]:
+    def alone(self) -> AbstractContextManager[bool]:
         """Within this no other process compiles the kernel; what one has made is there then.
 
-        To wait counts as compiling: it is no stage's time.
+        To wait counts as compiling: it is no stage's time. Whoever waits in vain compiles too.
         """
-        folder = cache_folder()
-        folder.mkdir(parents=True, exist_ok=True)
-        with (folder / f"{self._impl.locator.get_disambiguator()}.lock").open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                compilation.start()
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX)
-                finally:
-                    compilation.end()
-            yield
+        name = f"{self._impl.locator.get_disambiguator()}.lock"
+        return _turn(cache_folder() / name, COMPILING_PATIENCE, compilation.under_way)
 
     def __getattr__(self, name: str) -> Any:
         if self._made is None:

@@ -1,9 +1,11 @@
 """The cache of compiled kernels: never stale, and whole whoever writes it."""
 
+import fcntl
 import os
 import shutil
 import subprocess
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
@@ -130,6 +132,29 @@ def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
         "print([caller(x) for x in (1, 1.5, 2j)], sum(caller.stats.cache_hits.values()))\n"
     )
     assert answer(code, tmp_path, environment) == "[2, 3.0, 4j] 3\n"
+
+
+def test_a_process_that_was_stopped_in_its_turn_holds_nobody_for_ever(tmp_path):
+    environment = small_model(tmp_path)
+    code = (
+        "from demflow.model import kernel_cache\n"
+        "kernel_cache.INDEX_PATIENCE = kernel_cache.COMPILING_PATIENCE = 0.05\n"
+        "from demflow.model.caller import caller; print(caller(1.5))\n"
+    )
+    assert answer(code, tmp_path, environment) == "3.0\n"
+    (cache,) = (tmp_path / "cache" / "demflow").iterdir()
+    locks = [path for path in cache.iterdir() if path.name.endswith(".lock")]
+    assert len(locks) > 1  # of the index, and of a kernel
+    kept = {path.name for path in cache.iterdir()}
+    for path in cache.glob("*.nb*"):
+        path.unlink()
+    with ExitStack() as stack:
+        for path in locks:
+            fcntl.flock(stack.enter_context(path.open("w")), fcntl.LOCK_EX)
+        assert answer(code, tmp_path, environment) == "3.0\n"
+        assert {path.name for path in cache.iterdir()} == {path.name for path in locks}
+    assert answer(code, tmp_path, environment) == "3.0\n"
+    assert {path.name for path in cache.iterdir()} == kept
 
 
 def compiled(code: str, folder: Path, environment: dict[str, str]) -> int:
