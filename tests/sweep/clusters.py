@@ -6,13 +6,14 @@ import json
 import os
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
 import psutil
+
+from tests.sweep.processes import wait_until
 
 ROOT = Path(__file__).parents[2]
 LOCAL = ("--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0")
@@ -85,11 +86,7 @@ def dask_cluster(
         started = [
             stack.enter_context(_process(folder / f"worker-{k}", *worker)) for k in range(workers)
         ]
-        end = time.monotonic() + PATIENCE
-        while not (_written(contact) and all(map(_has_worker, started))):
-            if time.monotonic() > end:
-                raise TimeoutError((folder / "scheduler" / "log").read_text())
-            time.sleep(0.05)
+        wait_until(lambda: _written(contact) and all(map(_has_worker, started)), PATIENCE)
         yield Cluster(json.loads(contact.read_text())["address"], started, folder, main)
 
 
@@ -97,11 +94,7 @@ def dask_cluster(
 def extra_worker(address: str, folder: Path, *options: str) -> Iterator[subprocess.Popen]:
     """Let one more `dask worker` join a scheduler while a `with` block runs."""
     with _process(folder, "worker", address, *LOCAL, *options) as started:
-        end = time.monotonic() + PATIENCE
-        while "Registered to" not in (folder / "log").read_text():
-            if time.monotonic() > end:
-                raise TimeoutError((folder / "log").read_text())
-            time.sleep(0.05)
+        wait_until(lambda: "Registered to" in (folder / "log").read_text(), PATIENCE)
         yield started
 
 

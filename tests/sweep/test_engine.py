@@ -22,7 +22,7 @@ from demflow.sweep.prepared import prepare
 from demflow.sweep.store.lock import FolderLock, LockedError
 from demflow.sweep.store.products import StoreError
 from tests.sweep import toy_stages, toys
-from tests.sweep.processes import leftovers, products, start
+from tests.sweep.processes import leftovers, products, start, wait_until
 from tests.sweep.stored import put
 
 pytestmark = pytest.mark.slow
@@ -225,14 +225,6 @@ def environment() -> dict[str, str]:
 
 def stored(results: Path) -> set[str]:
     return {path.name for path in results.glob("store/*/*.product")}
-
-
-def wait_until(condition) -> None:
-    for _ in range(600):
-        if condition():
-            return
-        time.sleep(0.05)
-    raise AssertionError("it did not happen")
 
 
 def test_workers_end_with_a_killed_run_whatever_they_are_at(tmp_path):

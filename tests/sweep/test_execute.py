@@ -20,7 +20,7 @@ from demflow.model.quantities import SWEEP
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import RunError
 from tests.sweep import toy_stages, toys
-from tests.sweep.processes import products, start
+from tests.sweep.processes import products, start, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -186,8 +186,7 @@ def test_a_run_that_stood_still_charges_nobody_for_it(tmp_path):
         tmp_path, seeds=(1,), stresses=(), rates=(1.0, 2.0), seconds=1.0, limits="{time: 3 s}"
     )
     running = start(path, tmp_path / "results")
-    while not products(tmp_path / "results"):
-        time.sleep(0.02)
+    wait_until(lambda: products(tmp_path / "results"))
     for process in running.workers():
         process.send_signal(signal.SIGTSTP)
     running.process.send_signal(signal.SIGSTOP)
@@ -286,8 +285,7 @@ def test_what_had_finished_when_its_worker_was_killed_is_stored_and_never_runs_a
     kept = []
 
     def kill() -> None:
-        while not toy_stages.noted(diary, "begins")[third]:
-            time.sleep(0.02)
+        wait_until(lambda: toy_stages.noted(diary, "begins")[third])
         for process in psutil.Process().children():
             if "spawn_main" in " ".join(process.cmdline()):
                 process.kill()

@@ -54,8 +54,9 @@ def test_no_more_workers_stand_than_have_something_to_do():
             found = []
             for asked, stand in ((0, 1), (5, 2), (1, 2)):
                 pool.ask_for(asked)
-                while len(await pool.look()) < stand:
-                    await asyncio.sleep(0.05)
+                async with asyncio.timeout(60.0):
+                    while len(await pool.look()) < stand:
+                        await asyncio.sleep(0.05)
                 found.append(len(pool.cluster.worker_spec))
             return found
 
@@ -76,8 +77,9 @@ def test_whoever_has_not_the_key_of_the_run_is_let_in_nowhere(scheme):
 
     async def attempts() -> None:
         async with LocalPool(1) as pool:
-            while not (workers := await pool.look()):
-                await asyncio.sleep(0.05)
+            async with asyncio.timeout(60.0):
+                while not (workers := await pool.look()):
+                    await asyncio.sleep(0.05)
             nannies = [nanny.address for nanny in pool.cluster.workers.values()]
             for address in (pool.cluster.scheduler_address, *workers, *nannies):
                 with pytest.raises(
