@@ -29,6 +29,7 @@ coverage: .venv/ready  ## all tests, and the lines of demflow that none of them 
 
 docs: .venv/ready  ## the reference pages anew, and all pages as HTML in build/docs
 	$(BIN)/python docs/reference.py
+	$(BIN)/python -m tests.benchmarks --page
 	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/docs
 
 lint: .venv/ready  ## style, imports and types

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import datetime
 import json
 import os
@@ -11,41 +12,70 @@ from typing import Any
 
 from tests.benchmarks.result import Result
 
-DOCS = Path(__file__).parents[2] / "docs"
+FOLDER = Path(__file__).parent
+DOCS = FOLDER.parents[1] / "docs"
 KEPT, PAGE = DOCS / "benchmarks.json", DOCS / "benchmarks.md"
 
 
-def keep(name: str, title: str, result: Result, names: list[str]) -> None:
-    """Take a result into the page in place of an earlier one; drop checks not in `names`."""
-    rows: dict[str, Any] = json.loads(KEPT.read_text()) if KEPT.exists() else {}
+def titles() -> dict[str, str]:
+    """What each check shows: the first line of its docstring. A module without `run` is none."""
+    found = {}
+    for path in sorted(FOLDER.glob("*.py")):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        runs = any(isinstance(one, ast.FunctionDef) and one.name == "run" for one in tree.body)
+        if runs and not path.stem.startswith("_"):
+            found[path.stem] = (ast.get_docstring(tree) or path.stem).splitlines()[0]
+    return found
+
+
+def kept() -> dict[str, Any]:
+    """The results that are kept, by the names of their checks."""
+    rows: dict[str, Any] = json.loads(KEPT.read_text(encoding="utf-8")) if KEPT.exists() else {}
+    return rows
+
+
+def keep(name: str, result: Result) -> None:
+    """Take a result in place of an earlier one, drop those of checks that are gone, and write."""
+    rows = kept()
     rows[name] = {
-        "title": title,
         "day": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}",
         **result._asdict(),
     }
-    rows = {kept: rows[kept] for kept in sorted(rows) if kept in names}
+    rows = {one: rows[one] for one in sorted(rows) if one in titles()}
     KEPT.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-    PAGE.write_text(drawn(rows), encoding="utf-8")
+    write()
 
 
-def drawn(rows: dict[str, Any]) -> str:
-    """The table of all checks, then the details of each."""
+def write() -> None:
+    """Write the page from what is kept."""
+    PAGE.write_text(drawn(kept(), titles()), encoding="utf-8")
+
+
+def drawn(rows: dict[str, Any], shown: dict[str, str]) -> str:
+    """The table of all checks, those without a kept figure below it, then the details of each."""
     lines = [
         "# Measured claims",
         "",
-        "Written by `make bench`; `make bench NAME=…` repeats one of them. Times depend on the "
-        "machine; ratios were taken side by side in one run.",
+        "Each check is a module under `tests/benchmarks/`, whose docstring tells its options. "
+        "`make bench` repeats them all and writes this page, `make bench NAME=…` repeats one of "
+        "them and `python -m tests.benchmarks --keep NAME …` keeps what it finds. Times depend on "
+        "the machine and on what else it does; ratios were taken side by side in one run.",
         "",
-        "| check | shows | figure | bound | |",
-        "|---|---|---|---|---|",
+        "| check | shows | figure | bound | | day |",
+        "|---|---|---|---|---|---|",
     ]
-    for name, row in rows.items():
+    measured = {name: rows[name] for name in shown if name in rows}
+    for name, row in measured.items():
         verdict = "holds" if row["holds"] else "**falls short**"
-        cells = (f"[`{name}`](#{name})", row["title"], row["figure"], row["bound"], verdict)
-        lines.append(f"| {' | '.join(cells)} |")
-    for name, row in rows.items():
-        lines += ["", f"## {name}", "", row["title"], "", f"{row['day']}, {row['machine']}.", ""]
+        cells = (f"[`{name}`](#{name})", shown[name], row["figure"], row["bound"], verdict)
+        lines.append(f"| {' | '.join((*cells, row['day']))} |")
+    lines += ["", "## Checks whose figure is not kept here", ""]
+    lines += ["They take long, need other programs or another build, or are newer than this page."]
+    lines += ["", "| check | shows |", "|---|---|"]
+    lines += [f"| `{name}` | {text} |" for name, text in shown.items() if name not in measured]
+    for name, row in measured.items():
+        lines += ["", f"## {name}", "", shown[name], "", f"{row['day']}, {row['machine']}.", ""]
         lines += ["```", row["details"].rstrip(), "```"]
     return "\n".join(lines) + "\n"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import json
 import re
 import shlex
@@ -10,15 +11,22 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
+import demflow
 from demflow.model import quantities
 from demflow.sweep.command import cli
-from demflow.sweep.study.load import KEYS
+from demflow.sweep.study.cases import case_at
+from demflow.sweep.study.load import KEYS, load_study
 from demflow.sweep.study.scene import SCENE
 from demflow.sweep.study.schema import study_schema
+from demflow.sweep.study.units import parse_quantity
+from tests.benchmarks import page
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -40,18 +48,17 @@ observe: [well_pressure]
 """
 
 BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-ELSEWHERE = "dask_jobqueue"  # what a machine of another kind would need
 
 
-def _blocks(page: Path, language: str) -> list[str]:
-    return [text for word, text in BLOCK.findall(page.read_text()) if word == language]
+def _blocks(path: Path, language: str) -> list[str]:
+    return [text for word, text in BLOCK.findall(path.read_text()) if word == language]
 
 
 def _named(pages: tuple[Path, ...], language: str) -> list[object]:
     return [
-        pytest.param(text, id=f"{page.name}-{number}")
-        for page in pages
-        for number, text in enumerate(_blocks(page, language))
+        pytest.param(text, id=f"{path.name}-{number}")
+        for path in pages
+        for number, text in enumerate(_blocks(path, language))
     ]
 
 
@@ -72,26 +79,40 @@ def _study(text: str) -> dict[str, object]:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder in which pages are followed, with the maps that they name."""
+    """A folder in which pages are followed, with the maps and records that they name."""
     shutil.copytree(ROOT / "studies" / "maps", tmp_path / "maps")
+    gauge = np.loadtxt(ROOT / "studies/gauges/made_build_up.csv", delimiter=",", skiprows=1)
+    gauge /= [parse_quantity("1 h", "s"), parse_quantity("1 psi", "Pa") / 1e3]
+    np.savetxt(tmp_path / "gauge.csv", gauge, delimiter=",", header="t [h],p [psi]", comments="")
+    rate = 1e-5 * 10.0 / 1.1 / parse_quantity("1 bbl/d", "m3/s")  # of 10 m, at the surface
+    hours = 4000.0 / 3600.0
+    (tmp_path / "rates.csv").write_text(f"t [h],q [bbl/d]\n0,{rate}\n{hours},0\n")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("text", _named(PAGES, "yaml"))
-def test_blocks_of_studies_are_valid(text, folder, capsys):
+def test_blocks_of_studies_are_valid_and_run(text, folder, capsys):
+    """Each is checked, and its first case run; what has no scene is fitted."""
     path = folder / "study.yaml"
     path.write_text(yaml.safe_dump(_study(text), sort_keys=False))
-    status = cli.main(["check", str(path)])
+    alone = text.startswith("study") and "\nscene:" not in text
+    status = cli.main(["fit" if alone else "check", str(path)])
     assert status == 0, capsys.readouterr()
+    if not alone:
+        study = load_study(path, smoke="\nsmoke:" in text)
+        found = demflow.simulate(case_at(study, (0,) * len(study.axes)).scene)
+        fields = {"grain_map", "pressure_map", "fracture_network"}  # words for more than one
+        assert set(study.values["observe"]) - found.keys() <= fields
 
 
 @pytest.mark.slow
 def test_the_tutorial_can_be_followed(folder):
     """Each block in turn, as a reader would: studies saved, commands given, Python typed."""
-    page = DOCS / "tutorial.md"
+    tutorial = DOCS / "tutorial.md"
     names: dict[str, object] = {}
-    for language, text in BLOCK.findall(page.read_text()):
+    for language, text in BLOCK.findall(tutorial.read_text()):
         if language == "yaml":
             name = re.search(r"^study: (\S+)", text, re.MULTILINE)
             (folder / f"{name[1]}.yaml").write_text(text)
@@ -104,7 +125,7 @@ def test_the_tutorial_can_be_followed(folder):
                 )
                 assert done.returncode == 0, done.stderr
         elif language == "python":
-            exec(compile(text, str(page), "exec"), names)
+            exec(compile(text, str(tutorial), "exec"), names)
     assert (folder / "results" / "tutorial" / "report.html").is_file()
     assert (folder / "drawdown.png").stat().st_size > 10_000
     along, across = names["along"], names["across"]
@@ -122,9 +143,43 @@ def test_the_tutorial_can_be_followed(folder):
         exec(compile(text, "how-to.md", "exec"), {})
 
 
-@pytest.mark.parametrize("text", _named(PAGES, "python"))
-def test_blocks_of_python_can_be_read(text):
-    compile(text, "block", "exec")
+@pytest.mark.slow
+def test_the_first_page_can_be_followed(folder):
+    """What README does with the quickstart's results, here of fewer grains."""
+    study = (ROOT / "studies" / "quickstart.yaml").read_text().replace("count: 2500", "count: 250")
+    (folder / "quickstart.yaml").write_text(study)
+    demflow.run(folder / "quickstart.yaml", workers=1)
+    names: dict[str, Any] = {}
+    for text in _blocks(ROOT / "README.md", "python"):
+        exec(compile(text, "README.md", "exec"), names)
+    assert names["maps"].axis_aperture == 1.5e-4
+
+
+def test_a_cluster_is_made_and_handed_to_the_run(monkeypatch):
+    """With a queue that gives an address at once."""
+    asked: dict[str, Any] = {}
+    cluster = SimpleNamespace(
+        scheduler_address="tcp://node:8786",
+        scale=lambda jobs: asked.update(jobs=jobs),
+        wait_for_workers=lambda number: asked.update(workers=number),
+    )
+    queue: Any = ModuleType("dask_jobqueue")
+    queue.SLURMCluster = lambda **options: asked.update(options) or cluster
+    monkeypatch.setitem(sys.modules, "dask_jobqueue", queue)
+    run = inspect.signature(demflow.run)
+    monkeypatch.setattr(demflow, "run", lambda *a, **k: asked.update(run.bind(*a, **k).arguments))
+    (text,) = _blocks(DOCS / "clusters.md", "python")
+    exec(compile(text, "clusters.md", "exec"), {"__name__": "__main__"})
+    assert asked["scheduler"] == "tcp://node:8786"
+    assert asked["processes"] == asked["cores"]
+
+
+def test_no_block_is_left_out():
+    """Languages that the tests above execute; commands.md is what the program itself prints."""
+    for path in PAGES:
+        languages = {word for word, _ in BLOCK.findall(path.read_text())}
+        followed = path.name in ("README.md", "tutorial.md", "how-to.md", "clusters.md")
+        assert languages <= {"yaml", "text"} | ({"python", "sh"} if followed else set()), path
 
 
 def _keys(schema: object) -> set[str]:
@@ -138,19 +193,24 @@ def _keys(schema: object) -> set[str]:
 
 
 def test_every_key_of_a_study_is_documented():
-    page = (DOCS / "reference" / "study.md").read_text()
-    said = {path.rpartition(".")[2] for path in re.findall(r"`([\w.-]+)`", page)}
+    text = (DOCS / "reference" / "study.md").read_text()
+    said = {path.rpartition(".")[2] for path in re.findall(r"`([\w.-]+)`", text)}
     missing = _keys(study_schema()) - said
     assert not missing - {"shape", "kind"}  # they stand in the headings of what they choose
 
 
 def test_every_variable_is_documented():
-    page = (DOCS / "reference" / "dataset.md").read_text()
+    text = (DOCS / "reference" / "dataset.md").read_text()
     for table in (
         *(quantities.CASE, quantities.PRINCIPAL, quantities.ENSEMBLE),
         *(quantities.SWEEP, quantities.RAGGED, quantities.MAPS),
     ):
-        assert not [name for name in table if f"| `{name}` |" not in page]
+        assert not [name for name in table if f"| `{name}` |" not in text]
+
+
+def test_every_check_has_its_row():
+    """`python -m tests.benchmarks --page` writes them anew."""
+    assert page.PAGE.read_text() == page.drawn(page.kept(), page.titles())
 
 
 @pytest.mark.slow
@@ -164,8 +224,8 @@ def test_reference_pages_are_those_of_the_tables():
 
 def test_every_key_that_a_stage_reads_says_so():
     """A key without a reader changes nothing, or no study shows it."""
-    page = (DOCS / "reference" / "study.md").read_text()
-    scene = page[page.index("## scene\n") : page.index("## limits")]
+    text = (DOCS / "reference" / "study.md").read_text()
+    scene = text[text.index("## scene\n") : text.index("## limits")]
     silent = [line.split("|")[1] for line in scene.splitlines() if line.endswith("|  |")]
     assert not silent
 
