@@ -18,6 +18,12 @@ class Status(IntEnum):
     INACCURATE = 7  # its numbers are there, but beyond the bounds of a good result
     LEFT_OUT = 8  # no case of the study: its `where` does not hold
 
+    @property
+    def words(self) -> str:
+        """As people read it."""
+        early = " early" if self is Status.STOPPED else ""
+        return self.name.replace("_", " ").lower() + early
+
 
 class ModelError(RuntimeError):
     """A stage could not reach its result. The text says why and what to try."""

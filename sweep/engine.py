@@ -59,6 +59,7 @@ class Finished:
     cases: int
     failed: int  # cases that did not end as the study expects
     inaccurate: int  # of these, such whose numbers are beyond their bounds
+    stopped: int  # of these, such that came to an early end; what came before is kept
     missing: int  # cases that were not run
     executed: Executed | None  # None where everything was stored already
     collected: bool  # whether the dataset was written anew
@@ -228,6 +229,7 @@ def run(
         warnings.warn(message, RunWarning, stacklevel=2)
     if finished.failed:
         off = f" or inaccurate ({finished.inaccurate})" if finished.inaccurate else ""
+        off += f" or stopped early ({finished.stopped})" if finished.stopped else ""
         message = (
             f"{finished.failed} of {finished.cases} cases failed{off}; `status` and `message` in "
             "the dataset say why, and retry_failed=True tries what failed again"
@@ -352,7 +354,10 @@ def _finished(prepared: Project, verdicts: list[Verdict]) -> Finished:
     from demflow.sweep.dataset.file import below_zero
 
     bad = ~as_expected(prepared, verdicts)
-    off = [v.status is Status.INACCURATE for v in verdicts]
+    off, stopped = (
+        np.array([v.status is one for v in verdicts], dtype=bool)
+        for one in (Status.INACCURATE, Status.STOPPED)
+    )
     bounded = any(promise.lowest_pressure is not None for promise in prepared.study.promised)
     dataset = prepared.folder / DATASET_FILE
     return Finished(
@@ -360,6 +365,7 @@ def _finished(prepared: Project, verdicts: list[Verdict]) -> Finished:
         cases=sum(v.status is not Status.LEFT_OUT for v in verdicts),
         failed=int(np.count_nonzero(bad)),
         inaccurate=int(np.count_nonzero(bad & off)),
+        stopped=int(np.count_nonzero(bad & stopped)),
         missing=sum(v.status is Status.NOT_RUN for v in verdicts),
         executed=None,
         collected=False,
@@ -404,7 +410,7 @@ def draw(prepared: Project, finished: Finished, *, again: bool = True) -> Finish
 
     with naming(folder):
         dataset = open_results(folder)
-        maps_of = maps_reader(dataset, folder)
+        maps_of = maps_reader(dataset, folder, prepared.study)
         figures = write_figures(dataset, folder, prepared.study, maps_of=maps_of)
         report = write_report(dataset, folder, prepared.study, figures.paths, maps_of)
     return replace(

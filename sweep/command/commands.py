@@ -197,7 +197,7 @@ def status(options: argparse.Namespace) -> int:
         besides += f"{stopped} stopped early, " if stopped else ""
         show(f"{cases} cases: {done} done, {besides}{failed} failed, {missing} missing")
         for case, v in bad[:MOST_SHOWN]:
-            told = f"{_place(prepared, case)}: {v.status.name.lower()}: {v.message}"
+            told = f"{_place(prepared, case)}: {v.status.words}: {v.message}"
             show(told, sentences=True)
         if len(bad) > MOST_SHOWN:
             show(f"… and {len(bad) - MOST_SHOWN} more; --json names them all")
@@ -233,6 +233,8 @@ def report(options: argparse.Namespace) -> int:
     from demflow.sweep.engine import draw_study
 
     finished = draw_study(options.study, options.results, smoke=options.smoke)
+    for message in finished.drawing:
+        say(message)
     _tell_places(finished, options)
     return SOME_FAILED if finished.failed else GOOD
 
@@ -335,10 +337,13 @@ def _summary(finished: Finished) -> str:
 
     good = finished.cases - finished.failed
     text = f"{good} of {finished.cases} cases good"
-    if failed := finished.failed - finished.inaccurate - finished.missing:
+    others = finished.inaccurate + finished.stopped + finished.missing
+    if failed := finished.failed - others:
         text += f", {failed} failed"
     if finished.inaccurate:
         text += f", {finished.inaccurate} inaccurate"
+    if finished.stopped:
+        text += f", {finished.stopped} stopped early"
     if finished.missing:
         text += f", {finished.missing} missing"
     if finished.executed is None:

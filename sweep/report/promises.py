@@ -65,4 +65,4 @@ def promises(dataset: xr.Dataset, study: Study) -> str:
 
 
 def _words(status: Status) -> str:
-    return status.name.replace("_", " ").lower()
+    return status.words

@@ -187,7 +187,7 @@ def test_a_case_that_stops_keeps_what_came_before(tmp_path, capsys):
     steps = {"a": (1.0, 2.0, 3.0), "b": (1.0, marches.STOPS, 3.0), "c": (1.0, 2.0, marches.STOPS)}
     path = write(tmp_path, steps)
     finished = run(path)
-    assert finished.failed == 2
+    assert (finished.failed, finished.stopped) == (2, 2)
     seen = open_results(finished.folder).load()
     assert seen.status.values.tolist() == [Status.DONE, Status.STOPPED, Status.STOPPED]
     assert seen.status.attrs["flag_meanings"].split()[Status.STOPPED] == "stopped"
@@ -204,6 +204,10 @@ def test_a_case_that_stops_keeps_what_came_before(tmp_path, capsys):
     assert capsys.readouterr().out.startswith(
         "3 cases: 1 done, 2 stopped early, 0 failed, 0 missing"
     )
+    assert toys.demflow(
+        "collect", str(path), "--results", str(tmp_path / "results"), table=marches.TOY
+    )
+    assert "1 of 3 cases good, 2 stopped early; " in capsys.readouterr().err
     path.write_text(path.read_text() + "expect: stopped\n")
     assert run(path).failed == 1  # the one that went on to its end
 
