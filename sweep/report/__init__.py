@@ -60,7 +60,7 @@ def write_report(
     """
     folder = Path(results_dir)
     path = folder / "report.html"
-    data = _data(dataset, study, maps_of or maps_reader(dataset, folder))
+    data = _data(dataset, study, maps_of or maps_reader(dataset, folder, study))
     script = _LANGUAGE + _text("vendor/uPlot.iife.min.js") + "\n" + _text("page.js")
     page = _template().render(
         policy=_policy(script),

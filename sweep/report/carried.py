@@ -1,8 +1,8 @@
 """The numbers that the page carries, so that it can show any case without asking for anything.
 
 Arrays travel as base64 of little-endian float64, bit by bit those of the dataset; maps are rounded
-to one part in 65,535 of their range, which no eye tells. What would be too large is left out, and
-its name is in `left_out`.
+to one part in 65,535 of their range, which no eye tells. What would be too large or is gone is left
+out, and `left_out` says so.
 """
 
 from __future__ import annotations
@@ -37,6 +37,7 @@ MOST_BYTES = 6_000_000  # of one quantity over all cases
 MOST_MAPPED = 4  # cases whose maps are carried
 MOST_TIMES = 8  # of each map
 MOST_PORES = 20_000  # of a map
+LARGE = "(too large for this page; the dataset or `demflow.open_case` has them)"
 
 # quantities in time and what they belong to, in the order of the choice
 _HISTORIES = (
@@ -73,12 +74,12 @@ def carried(dataset: xr.Dataset, study: Study, mapped: dict[int, Index], maps_of
                 "name": name,
                 "title": axis_title(name),
                 "values": [axis_value(dataset, name, k) for k in range(dataset.sizes[name])],
-                "numbers": _plain_numbers(dataset, name),
+                **_plain_numbers(dataset, name),
                 "ensemble": axis.seeds,
             }
             for name, axis in zip(names, study.axes, strict=True)
         ],
-        "status": [Status(one).name.replace("_", " ").lower() for one in status],
+        "status": [Status(one).words for one in status],
         "message": _messages(dataset),
         "times": _packed(dataset["elapsed_time"].values) if "elapsed_time" in dataset else None,
         "periods": _periods(dataset, study) if "pressure_change" in histories else None,
@@ -94,13 +95,15 @@ def _packed(values: Any) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f8").tobytes()).decode("ascii")
 
 
-def _plain_numbers(dataset: xr.Dataset, name: str) -> list[float] | None:
-    """Values along an axis that is one quantity, in the unit that is shown."""
+def _plain_numbers(dataset: xr.Dataset, name: str) -> dict[str, Any]:
+    """Values along an axis that is one quantity, and the unit in which they are shown."""
     if name not in dataset.coords or dataset[name].dtype.kind not in "fiu":
-        return None
+        return {"numbers": None, "unit": ""}
     values = np.asarray(dataset[name].values, dtype=float)
-    factor, _ = display(str(dataset[name].attrs.get("units", "1")), values)
-    return (values * factor).tolist() if np.all(np.isfinite(values)) else None
+    if not np.all(np.isfinite(values)):
+        return {"numbers": None, "unit": ""}
+    factor, unit = display(str(dataset[name].attrs.get("units", "1")), values)
+    return {"numbers": (values * factor).tolist(), "unit": unit}
 
 
 def _messages(dataset: xr.Dataset) -> dict[int, str]:
@@ -116,7 +119,7 @@ def _histories(dataset: xr.Dataset, left_out: list[str]) -> dict[str, Any]:
         values = dataset[name]
         (of,) = (str(d) for d in values.dims if d not in (*axes(dataset), "elapsed_time"))
         if values.size * 8 > MOST_BYTES:
-            left_out.append(str(values.attrs.get("long_name", name)))
+            left_out.append(f"{values.attrs.get('long_name', name)} {LARGE}")
             continue
         factor, unit = display(str(values.attrs.get("units", "1")), values.values)
         found[name] = {
@@ -142,7 +145,7 @@ def _periods(dataset: xr.Dataset, study: Study) -> Any:
     scenes = SceneBuilder(study.values, study.axes)
     known: dict[tuple[int, ...], list[int]] = {}  # by the point of the axes that touch the wells
     for position in np.ndindex(*status.shape):
-        if status[position] in (Status.DONE, Status.INACCURATE):
+        if status[position] in (Status.DONE, Status.INACCURATE, Status.STOPPED):
             at = tuple(position[axis] for axis in scenes.touching("wells"))
             if at not in known:
                 starts = period_starts(scenes.scene(position), wells)
@@ -189,11 +192,11 @@ def _maps(
             continue
         try:
             maps = maps_of(index)
-        except ResultsError:  # its products are gone, or lie elsewhere
-            left_out.append("pressure maps")
+        except ResultsError as error:  # its products are gone, or lie elsewhere
+            left_out.append(f"pressure maps ({error})")
             break
         if maps.sizes["domain"] > MOST_PORES:
-            left_out.append("pressure maps")
+            left_out.append(f"pressure maps {LARGE}")
             break
         one = _map(maps, scene, number)
         key = one["shape"]["x"].encode()

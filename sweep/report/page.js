@@ -153,8 +153,7 @@
     const [factor] = timeUnit();
     cases.forEach((at, position) => {
       const one = number(at);
-      const own = carried.status[one] === "done" || carried.status[one] === "inaccurate";
-      if (!own) return;
+      if (!["done", "inaccurate", "stopped early"].includes(carried.status[one])) return;
       const chosen = one === number(index);
       const k = cases.length > 1 ? position : 0;
       const name = cases.length > 1 ? compared(at) : "";
@@ -221,23 +220,25 @@
     }
     const joined = uPlot.join(curves.map((one) => [one.x, one.y]));
     const ink = colour("--ink"), line = colour("--line");
-    const axis = { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
+    const axis = { stroke: ink, grid: { stroke: line, width: 1, filter: decade },
+                   ticks: { stroke: line, filter: decade } };
     const name = loglog ? "Δp and Δp′" : histories[quantity].title;
     historyPlot = new uPlot({
       width: Math.max(260, $("history").clientWidth),
       height: 380,
-      cursor: { drag: { x: true, y: false } },
+      cursor: { drag: { x: true, y: false }, y: false },
+      legend: { live: false },
+      hooks: { setCursor: [(plot) => plot.cursor.idx != null && tell(plot.cursor.idx)] },
       scales: { x: { time: false, distr: 3 }, y: loglog ? { distr: 3, range: decades } : {} },
       axes: [
         { ...axis, values: ticks, label: loglog ? `time since the rate change (${unit})` : `time (${unit})` },
         { ...axis, values: loglog ? ticks : undefined, label: `${name}${curves[0].unit ? ` (${curves[0].unit})` : ""}`, size: 78 },
       ],
       series: [
-        { label: unit, value: (_, v) => (v == null ? "–" : shown(v)) },
+        {},
         ...curves.map((one) => ({
           label: one.label, stroke: one.colour, width: one.width, dash: one.dash || undefined,
           spanGaps: true, points: { show: one.x.length < 13 },
-          value: (_, v) => (v == null ? "–" : shown(v)),
         })),
       ],
     }, joined, $("history"));
@@ -250,12 +251,22 @@
   /* a derivative that dies away would take the plot for itself */
   const decades = (_, low, high) =>
     high > 0 ? uPlot.rangeLog(Math.max(low, high / 10 ** 4), high, 10, true) : [0.1, 1];
-  const ticks = (_, at) => at.map((one) =>
-    one != null && Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9
-      ? (one >= 1e-3 && one < 1e5 ? String(Number(one.toPrecision(6))) : one.toExponential(0)) : "");
-  function readAt() {
-    if (!historyPlot) return;
-    const k = Number($("read-at").value);
+  const isDecade = (one) => one != null && Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9;
+  /* of a logarithmic axis that shows two decades or more, these alone have lines */
+  const decade = (plot, at, axis) => {
+    const { distr, min, max } = plot.scales[axis === 0 ? "x" : "y"];
+    return distr === 3 && max > 100 * min ? at.map((one) => (isDecade(one) ? one : null)) : at;
+  };
+  /* labels at decades; in between where there are few of them */
+  const ticks = (plot, at, axis) => {
+    const { min, max } = plot.scales[axis === 0 ? "x" : "y"];
+    const few = max <= 100 * min, all = max <= 10 * min;
+    return at.map((one) =>
+      one != null && (all || isDecade(one) || (few && /^[25]/.test(one.toExponential(0))))
+        ? (one >= 1e-3 && one < 1e5 ? String(Number(one.toPrecision(6))) : one.toExponential(0)) : "");
+  };
+  function tell(k) {
+    $("read-at").value = k;
     const x = historyPlot.data[0][k];
     const text = historyTable.curves
       .map((one, j) => [one, historyPlot.data[j + 1][k]])
@@ -263,7 +274,12 @@
       .map(([one, value]) => `${one.label} ${shown(value)} ${one.unit}`.trim());
     $("read").textContent = `at ${shown(x)} ${historyTable.unit}: ${text.join("; ") || "no value"}`;
     $("read-at").setAttribute("aria-valuetext", `${shown(x)} ${historyTable.unit}`);
-    historyPlot.setCursor({ left: historyPlot.valToPos(x, "x"), top: 10 }, false);
+  }
+  function readAt() {
+    if (!historyPlot) return;
+    const k = Number($("read-at").value);
+    tell(k);
+    historyPlot.setCursor({ left: historyPlot.valToPos(historyPlot.data[0][k], "x"), top: 10 }, false);
   }
   function zoom(by, shift) {
     if (!historyPlot) return;
@@ -285,7 +301,8 @@
     $("history-panel").hidden = false;
     choose($("quantity"), options);
     choose($("compare"), [["-1", "no other case"],
-      ...varied.map((k) => [String(k), `all values of ${axes[k].title}`])]);
+      ...varied.map((k) => [String(k), shape[k] > MOST_CURVES
+        ? `${MOST_CURVES} of ${shape[k]} values of ${axes[k].title}` : `all values of ${axes[k].title}`])]);
     if (varied.length) $("compare").value = String(varied[0]);
     const names = () => {
       const quantity = $("quantity").value;
@@ -347,13 +364,19 @@
     const ink = colour("--ink"), line = colour("--line"), blue = plain(colour("--blue"));
     const common = { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
     const wide = axis.numbers && sorted[0] > 0 && sorted[sorted.length - 1] / sorted[0] > 30;
+    const width = Math.max(260, $("along").clientWidth);
+    /* names are as long as fit beside each other, some of them where they are many */
+    const every = Math.ceil(sorted.length / Math.max(2, Math.floor((width - 90) / 48)));
+    const letters = Math.floor((every * (width - 90)) / (8 * sorted.length));
+    const short = (text) => (text.length > letters ? `${text.slice(0, Math.max(1, letters - 1))}…` : text);
     const dots = { show: true, size: 7, fill: blue };
     alongPlot = new uPlot({
-      width: Math.max(260, $("along").clientWidth), height: 300,
+      width, height: 300, cursor: { y: false },
       scales: { x: { time: false, distr: wide ? 3 : 1 } },
       axes: [
-        { ...common, label: axis.title, splits: axis.numbers ? undefined : () => sorted,
-          values: axis.numbers ? undefined : (_, at) => at.map((one) => axis.values[one] || "") },
+        { ...common, label: axis.unit ? `${axis.title} (${axis.unit})` : axis.title,
+          splits: axis.numbers ? undefined : () => sorted.filter((_, j) => j % every === 0),
+          values: axis.numbers ? undefined : (_, at) => at.map((one) => short(axis.values[one] || "")) },
         { ...common, label: scalar.unit || scalar.title, size: 78 },
       ],
       series: [
@@ -402,6 +425,7 @@
     const found = cases.map((at) => ({ at, ...principal(all.subarray(4 * number(at), 4 * number(at) + 4)) }));
     const size = Math.max(...found.map((one) => one.largest).filter(Number.isFinite), 0);
     const own = { at: index, ...principal(all.subarray(4 * number(index), 4 * number(index) + 4)) };
+    const alike = found.every((one) => !(10 * one.largest < size)); // else each at its own scale
     const box = $("tensor");
     box.replaceChildren();
     if (size > 0) {
@@ -418,9 +442,9 @@
       add("path", { d: "M-108 0H108M0 -108V108", stroke: "var(--line)", fill: "none" });
       for (const one of [...found, own]) {
         if (!Number.isFinite(one.largest)) continue;
-        const chosen = one === own;
+        const chosen = one === own, whole = alike ? size : one.largest;
         add("ellipse", {
-          rx: (100 * one.largest) / size, ry: Math.max(0.4, (100 * one.smallest) / size),
+          rx: (100 * one.largest) / whole, ry: Math.max(0.4, (100 * one.smallest) / whole),
           transform: `rotate(${-one.direction})`, fill: "none",
           stroke: chosen ? "var(--blue)" : "var(--quiet)", "stroke-width": chosen ? 2.5 : 0.8,
         });
@@ -430,7 +454,7 @@
     $("tensor-read").textContent = Number.isFinite(own.largest)
       ? `largest ${shown(own.largest * factor, 4)} ${unit} at ${shown(own.direction, 3)}°, ` +
         `smallest ${shown(own.smallest * factor, 4)} ${unit}, ratio ${shown(own.largest / own.smallest, 3)}. ` +
-        "Semi-axes are principal values; thin ones are the cases beside it."
+        `Semi-axes are principal values${alike ? "" : ", each ellipse at its own scale"}; thin ones are the cases beside it.`
       : "This case has no permeability.";
   }
   function principal(k) {

@@ -59,7 +59,7 @@ def outcome(dataset: xr.Dataset) -> str:
     status = np.asarray(dataset["status"].values).astype(int)
     total = int(np.sum(status != Status.LEFT_OUT))
     rows = [
-        (kind.name.replace("_", " ").lower(), int(np.sum(status == kind)))
+        (kind.words, int(np.sum(status == kind)))
         for kind in Status
         if np.any(status == kind) or kind is Status.DONE
     ]
@@ -74,7 +74,7 @@ def outcome(dataset: xr.Dataset) -> str:
             listed.append(
                 (
                     case_title(dataset, index) or "the only case",
-                    Status(int(at["status"])).name.replace("_", " ").lower(),
+                    Status(int(at["status"])).words,
                     str(at["message"].values),
                 )
             )
@@ -119,8 +119,8 @@ def key_numbers(dataset: xr.Dataset) -> str:
         below = int(np.count_nonzero(np.nanmin(_by_case(dataset), axis=1, initial=0.0) < 0.0))
         if below:
             text += (
-                f"<p>In {below} cases the pressure of a well falls below zero: no liquid bears "
-                "that. The rate is more than the rock yields at this initial pressure.</p>"
+                f"<p>In {_count(below, 'case')} the pressure of a well falls below zero: no liquid "
+                "bears that. The rate is more than the rock yields at this initial pressure.</p>"
             )
     if "compute_time" in dataset:
         seconds = float(dataset["compute_time"].sum())
