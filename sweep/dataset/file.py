@@ -140,9 +140,14 @@ def collected_digest(path: Path) -> str | None:
 
 def attribute(path: Path, name: str) -> str | None:
     """An attribute of the dataset at `path`, None where it has none or is none."""
-    with suppress(OSError, AttributeError, RuntimeError), netCDF4.Dataset(path) as file:
-        return str(file.getncattr(name))
-    return None
+    return attributes(path).get(name)
+
+
+def attributes(path: Path) -> dict[str, str]:
+    """All attributes of the dataset at `path`, as words; none where it is none."""
+    with suppress(OSError, RuntimeError), netCDF4.Dataset(path) as file:
+        return {name: str(file.getncattr(name)) for name in file.ncattrs()}
+    return {}
 
 
 def recorded(path: Path) -> list[Verdict]:

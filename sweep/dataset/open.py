@@ -15,7 +15,7 @@ from demflow.model.products import build
 from demflow.model.quantities import COORDINATES, MAPS, TESTS, X_NAME, Y_NAME
 from demflow.model.scene import Scene
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
-from demflow.sweep.dataset.file import attribute
+from demflow.sweep.dataset.file import attributes
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.plan.graph import MODEL, make_plan, stage_table
@@ -88,7 +88,12 @@ def open_case(folder: str | Path, /, **at: Any) -> xr.Dataset:
 
 
 def case_of(
-    folder: Path, at: Mapping[str, Any], table: str = MODEL, *, ends: bool = True
+    folder: Path,
+    at: Mapping[str, Any],
+    table: str = MODEL,
+    *,
+    ends: bool = True,
+    study: Study | None = None,
 ) -> xr.Dataset:
     """Do what `open_case` does, with any table of stages.
 
@@ -98,20 +103,21 @@ def case_of(
     at : value on each axis
     table : the table of stages, as `module:name`
     ends : whether with the domains that pipes join, see `model.maps.case_maps`
+    study : the one whose results these are, where it is known already
     """
-    study = _study(folder)
+    study = study or _study(folder)
     try:
         store = Store.open(folder.resolve().parent / "store", create=False)
     except StoreError as error:
         raise ResultsError(f"the results in {folder} cannot be opened: {error}") from error
     index = _index(study, at)
     scene = case_at(study, index).scene
-    made = attribute(folder / DATASET_FILE, "stage_sources") or ""
-    runs = attribute(folder / DATASET_FILE, "stage_runs")
+    told = _attributes(folder / DATASET_FILE)
+    made, runs = told.get("stage_sources", ""), told.get("stage_runs", "")
     plan = make_plan([scene], as_made(stage_table(table), made))
     products: dict[str, Any] = {}
     together = [s.name for s in plan.stages if s.family is not None and s.family(scene)]
-    counted = dict(one.split() for one in (runs or "").partition(" behind")[0].split(", ") if one)
+    counted = dict(one.split() for one in runs.partition(" behind")[0].split(", ") if one)
     served = any(int(counted.get(name, 0)) for name in together)
     for run in (plan.runs[last] for last in plan.cases[0] if last >= 0):
         stage = plan.stages[run.stage]
@@ -184,7 +190,17 @@ def _smoke(folder: Path) -> bool:
     path = folder / DATASET_FILE
     if not path.is_file():
         raise ResultsError(f"{path} does not exist; `demflow run` writes it")
-    return attribute(path, "study_smoke") == "yes"
+    return _attributes(path).get("study_smoke") == "yes"
+
+
+def _attributes(path: Path) -> dict[str, str]:
+    """Attributes of a dataset, read once as long as its file does not change."""
+    return _told(path, path.stat().st_mtime_ns) if path.is_file() else {}
+
+
+@lru_cache(maxsize=4)
+def _told(path: Path, changed: int) -> dict[str, str]:  # noqa: ARG001 -- a part of the key
+    return attributes(path)
 
 
 def _index(study: Study, at: Mapping[str, Any]) -> tuple[int, ...]:

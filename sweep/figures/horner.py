@@ -61,8 +61,6 @@ def draw_horner(
     path : where the figure is written
     rock_of : rock and fluid of the case at an index, or None
     """
-    from demflow.model.analytic.wellbore import horner_time  # with special functions
-
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     colour, style = ([*varied, None, None])[:2]
     colours = pick(dataset.sizes[colour], _MOST[0]) if colour else [0]
@@ -94,6 +92,8 @@ def draw_horner(
             case["well_pressure"].sel(well=well).values,
             shades("Blues", len(colours))[c],
         )
+        from demflow.model.analytic.wellbore import horner_time  # with special functions
+
         if panel is None:
             panel = new_figure(7.4, 4.6).subplots()
         line = _line(times, pressure, own, rock_of(index, own))
