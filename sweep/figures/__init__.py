@@ -7,10 +7,10 @@ import math
 import os
 import re
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -32,12 +32,13 @@ from demflow.sweep.figures.maps import PANELS, draw_maps
 from demflow.sweep.figures.measured import draw_measured
 from demflow.sweep.figures.movement import draw_settlement, draw_slip
 from demflow.sweep.figures.permeability import draw_permeability
+from demflow.sweep.figures.rates import draw_rates
 from demflow.sweep.figures.sensitivity import draw_sensitivity
 from demflow.sweep.figures.speed import draw_speed
 from demflow.sweep.figures.strength import draw_strength
 from demflow.sweep.figures.style import FOR_REPORT, Form, house_style
 from demflow.sweep.figures.traces import draw_traces_of
-from demflow.sweep.figures.two_axes import draw_two_axes
+from demflow.sweep.figures.two_axes import draw_drawdown, draw_two_axes
 from demflow.sweep.figures.wells import draw_well
 from demflow.sweep.store.written import check_folder, replace_files
 from demflow.sweep.study.cases import case_at
@@ -57,19 +58,20 @@ class Figures(NamedTuple):
     messages: list[str]  # what could not be drawn, and what of the user's was renamed
 
 
-def maps_reader(dataset: xr.Dataset, results_dir: Path) -> MapsOf:
+def maps_reader(dataset: xr.Dataset, results_dir: Path, study: Study) -> MapsOf:
     """What reads the maps of a case, and keeps those that figures and report both show.
 
     Parameters
     ----------
     dataset : the study's dataset.
     results_dir : the study's folder, where the maps of its cases are found.
+    study : the study.
     """
 
     @lru_cache(maxsize=MOST_MAPS)
     def maps_at(position: tuple[tuple[str, int], ...]) -> xr.Dataset:
         values = {axis: dataset[axis].values[at].item() for axis, at in position}
-        return case_of(results_dir, values, ends=False)
+        return case_of(results_dir, values, ends=False, study=study)
 
     return lambda index: maps_at(tuple(index.items()))
 
@@ -96,13 +98,14 @@ def write_figures(
     -------
     The PNG files: each holds its caption as its PNG description; `NAME_*.csv` beside `NAME.png`
     are its tables. Figures of an earlier run that are not drawn again are removed, and no
-    other file (see `sweep.store.written`). A comparison that the scenes do not allow is a message.
+    other file (see `sweep.store.written`). What cannot be drawn is a message: a comparison that the
+    scenes do not allow, a map whose products are gone.
 
     Raises
     ------
     StoreError : `figures` is a link. OSError.
     """
-    read = maps_of or maps_reader(dataset, Path(results_dir))
+    read = maps_of or maps_reader(dataset, Path(results_dir), study)
     return _replaced(
         Path(results_dir),
         form,
@@ -133,7 +136,7 @@ def write_animations(dataset: xr.Dataset, results_dir: Path, study: Study, form:
     from demflow.sweep.figures.animation import check_kind, draw_animation, is_moving
 
     check_kind(form.format)
-    read = maps_reader(dataset, Path(results_dir))
+    read = maps_reader(dataset, Path(results_dir), study)
 
     def draw(folder: Path, _messages: list[str]) -> list[Path]:
         drawn: list[Path] = []
@@ -182,6 +185,23 @@ def _replaced(
     return Figures([folder / path.name for path in drawn], messages)
 
 
+class _Sheet:
+    """Figures drawn into a folder; what cannot be drawn is told, and the others go on."""
+
+    def __init__(self, folder: Path, messages: list[str]):
+        self.paths: list[Path] = []
+        self._folder, self._messages = folder, messages
+
+    def add(self, name: str, draw: Callable[..., Path | None], *given: Any, **named: Any) -> None:
+        """Let a function draw into the file of that name."""
+        try:
+            path = draw(*given, path=self._folder / f"{name}.png", **named)
+        except (ComparisonError, ResultsError) as error:
+            self._messages.append(f"{name} was not drawn: {error}")
+        else:
+            self.paths += [path] if path is not None else []
+
+
 def _draw(
     dataset: xr.Dataset,
     maps_of: MapsOf,
@@ -197,65 +217,85 @@ def _draw(
     def scene_of(index: Index) -> Scene:
         return case_at(study, [index[axis.name] for axis in study.axes]).scene
 
+    sheet = _Sheet(folder, messages)
     roles = roles_of(study)
+    seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
     with house_style(form):
         if roles is not None and "time_error" in dataset:
-            return [_speed(dataset, study, roles, scene_of, maps_of, folder)]
-        drawn: list[Path | None] = []
-        if study.figures.compare:
-            try:
-                drawn.append(_compare(dataset, study.figures.compare, scene_of, maps_of, folder))
-            except ComparisonError as error:
-                messages.append(f"no comparison was drawn: {error}")
-        drawn += _wells(dataset, scene_of, folder)
+            sheet.add("speed_vs_error", _speed, dataset, study, roles, scene_of, maps_of)
+            return sheet.paths
+        if kind := study.figures.compare:
+            sheet.add(f"compare_{kind}", _compare, dataset, kind, scene_of, maps_of)
+        _wells(sheet, dataset, scene_of, seeds)
         for name, plain in zip(study.data, _file_names(list(study.data)), strict=True):
-            drawn.append(draw_measured(dataset, study.data[name], folder / f"measured_{plain}.png"))
-        drawn.append(draw_events(dataset, folder / "events.png"))
-        drawn.append(draw_slip(dataset, folder / "slip.png"))
-        drawn.append(draw_settlement(dataset, folder / "settlement.png"))
-        corners = representative_cases(dataset)
-        most = PANELS if len(corners) == 1 else PANELS // 2
-        # the first and the last corner: the report's page draws the others itself
-        for k, index in enumerate(corners[:: max(len(corners) - 1, 1)]):
-            if "pressure_map" in scene_of(index).observe:
-                title = f"{study.title}\n{case_title(dataset, index)}".strip()
-                path = folder / f"pressure_map_{k}.png"
-                maps, scene = maps_of(index), scene_of(index)
-                broken = events_of(dataset, index) if "event_time" in dataset else None
-                drawn.append(draw_maps(maps, scene, title, path, study.figures.maps, most, broken))
-        drawn += _holes(dataset, study, scene_of, maps_of, folder)
-        seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
-        if "permeability" in dataset:
-            drawn.append(draw_permeability(dataset, folder / "permeability.png", seeds))
-        drawn.append(draw_two_axes(dataset, folder / "permeability_over.png"))
+            sheet.add(f"measured_{plain}", draw_measured, dataset, study.data[name])
+        sheet.add("events", draw_events, dataset)
+        sheet.add("slip", draw_slip, dataset)
+        sheet.add("settlement", draw_settlement, dataset)
+        _of_maps(sheet, dataset, study, scene_of, maps_of)
+        # a sample has no order either
+        sheet.add("permeability", draw_permeability, dataset, ensembles=seeds | {"sample"})
+        sheet.add("permeability_over", draw_two_axes, dataset)
         if "network_nodes_i" in dataset:
-            index = corners[0]
-            title = f"{study.title}\n{case_title(dataset, index)}".strip()
-            drawn.append(draw_traces_of(dataset, maps_of(index), title, folder / "traces.png"))
-        drawn.append(draw_sensitivity(dataset, folder / "sensitivity.png"))
-        drawn.append(draw_strength(dataset, folder / "strength.png", seeds))
-        drawn.append(draw_failure(dataset, maps_of, folder / "stress_strain.png", seeds))
-    return [path for path in drawn if path is not None]
+            index = representative_cases(dataset)[0]
+            title = _title(study, dataset, index)
+            sheet.add("traces", _traces, dataset, maps_of, index, title)
+        sheet.add("sensitivity", draw_sensitivity, dataset)
+        sheet.add("strength", draw_strength, dataset, ensembles=seeds)
+        sheet.add("stress_strain", draw_failure, dataset, maps_of, ensembles=seeds)
+    return sheet.paths
 
 
-def _holes(
-    dataset: xr.Dataset, study: Study, scene_of: SceneOf, maps_of: MapsOf, folder: Path
-) -> list[Path | None]:
-    """Draw the forces around what is excavated, and what flows into it."""
-    drawn: list[Path | None] = []
+def _title(study: Study, dataset: xr.Dataset, index: Index) -> str:
+    """Study and case, as they stand over a map."""
+    return f"{study.title}\n{case_title(dataset, index)}".strip()
+
+
+def _traces(
+    dataset: xr.Dataset, maps_of: MapsOf, index: Index, title: str, path: Path
+) -> Path | None:
+    return draw_traces_of(dataset, maps_of(index), title, path)
+
+
+def _of_maps(
+    sheet: _Sheet, dataset: xr.Dataset, study: Study, scene_of: SceneOf, maps_of: MapsOf
+) -> None:
+    """Draw pressures, the forces around what is excavated, and what flows into it."""
+    corners = representative_cases(dataset)
+    most = PANELS if len(corners) == 1 else PANELS // 2
+
+    def pressure(index: Index, path: Path) -> Path:
+        broken = events_of(dataset, index) if "event_time" in dataset else None
+        title, scene = _title(study, dataset, index), scene_of(index)
+        return draw_maps(maps_of(index), scene, title, path, study.figures.maps, most, broken)
+
+    seen: list[np.ndarray] = []
+
+    def forces(index: Index, path: Path) -> Path | None:
+        maps = maps_of(index)
+        force = maps["normal_force"].values
+        if any(np.array_equal(force, one) for one in seen):
+            return None  # what differs moves no grain
+        seen.append(force)
+        return draw_forces(maps, scene_of(index), _title(study, dataset, index), path)
+
+    # the first and the last corner: the report's page draws the others itself
+    for k, index in enumerate(corners[:: max(len(corners) - 1, 1)]):
+        if "pressure_map" in scene_of(index).observe:
+            sheet.add(f"pressure_map_{k}", pressure, index)
     holes: set[str] = set()
-    for k, index in enumerate(representative_cases(dataset)):
+    for k, index in enumerate(corners):
         scene = scene_of(index)
         holes |= {hole.name for hole in holes_of(scene.excavate)}
         if scene.excavate and scene.stress is not None and "grain_map" in scene.observe:
-            title = f"{study.title}\n{case_title(dataset, index)}".strip()
-            drawn.append(draw_forces(maps_of(index), scene, title, folder / f"forces_{k}.png"))
+            sheet.add(f"forces_{k}", forces, index)
     seeds = {a.name for a in study.axes if a.parameters == ("grains.seed",)}
-    drawn.append(draw_inflow(dataset, holes, folder / "inflow.png", seeds))
-    return drawn
+    sheet.add("inflow", draw_inflow, dataset, holes, ensembles=seeds)
 
 
-def _wells(dataset: xr.Dataset, scene_of: SceneOf, folder: Path) -> list[Path | None]:
+def _wells(
+    sheet: _Sheet, dataset: xr.Dataset, scene_of: SceneOf, ensembles: Collection[str]
+) -> None:
     """Draw the transients of every well."""
 
     def well_of(index: Index, name: str) -> Well | None:
@@ -270,15 +310,18 @@ def _wells(dataset: xr.Dataset, scene_of: SceneOf, folder: Path) -> list[Path | 
         stored = scene.stores(porosity) / porosity
         return Rock(porosity, viscosity, stored, well.radius)
 
-    drawn: list[Path | None] = []
     if "pressure_change" in dataset:
         wells = list(map(str, dataset["well"].values))
         for name, plain in zip(wells, _file_names(wells), strict=True):
-            drawn.append(draw_well(dataset, name, well_of, folder / f"well_pressure_{plain}.png"))
-            drawn.append(
-                draw_horner(dataset, name, well_of, folder / f"horner_{plain}.png", rock_of)
-            )
-    return drawn
+            sheet.add(f"well_pressure_{plain}", draw_well, dataset, name, well_of)
+            sheet.add(f"horner_{plain}", draw_horner, dataset, name, well_of, rock_of=rock_of)
+            sheet.add(f"drawdown_over_{plain}", draw_drawdown, dataset, name)
+    if "well_rate" in dataset and "elapsed_time" in dataset["well_rate"].dims:
+        first = scene_of(next(done(dataset)))
+        held = [one.name for one in first.wells if one.rate is None and one.schedule is None]
+        if held:
+            flow = dataset["well_rate"].sel(well=held)
+            sheet.add("well_rate", draw_rates, dataset, flow, "rate", ensembles=ensembles)
 
 
 def _file_names(names: Sequence[str]) -> list[str]:
@@ -311,18 +354,17 @@ def _speed(
     roles: Roles,
     scene_of: SceneOf,
     maps_of: MapsOf,
-    folder: Path,
+    path: Path,
 ) -> Path:
     """Draw what the solvers of a study cost and how exact they are, with its tables beside it."""
-    path = folder / "speed_vs_error.png"
     found = speed_against_error(dataset, study, roles, scene_of, maps_of)
     for what, content in zip(("by_solver", "of_model"), speed_tables(found), strict=True):
-        content.write_csv(folder / f"speed_vs_error_{what}.csv")
+        content.write_csv(path.with_name(f"speed_vs_error_{what}.csv"))
     return draw_speed(found, path)
 
 
 def _compare(
-    dataset: xr.Dataset, kind: str, scene_of: SceneOf, maps_of: MapsOf, folder: Path
+    dataset: xr.Dataset, kind: str, scene_of: SceneOf, maps_of: MapsOf, path: Path
 ) -> Path:
     """Draw the comparison that the study asks for, with its tables beside it."""
     # with the special functions of closed forms, which no other figure needs
@@ -330,7 +372,6 @@ def _compare(
     from demflow.sweep.analysis.radial_flow import compare_radial, radial_tables
     from demflow.sweep.figures.comparisons import draw_linear, draw_radial
 
-    path = folder / f"compare_{kind}.png"
     tables: list[Table]
     if kind == "linear":
         linear = compare_linear(dataset, scene_of, maps_of)
@@ -342,5 +383,5 @@ def _compare(
         tables = radial_tables(radial)
         draw_radial(radial, path)
     for what, content in zip(("by_time", "by_case"), tables, strict=True):
-        content.write_csv(folder / f"compare_{kind}_{what}.csv")
+        content.write_csv(path.with_name(f"compare_{kind}_{what}.csv"))
     return path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,16 @@ from matplotlib.ticker import MaxNLocator
 
 from demflow.model.outcome import Status
 from demflow.sweep.analysis.cases import Index, axes, case_title, display, events
-from demflow.sweep.figures.style import BLACK, BLUE, GREY, VERMILION, legend_text, new_figure, save
+from demflow.sweep.figures.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    VERMILION,
+    legend_text,
+    new_figure,
+    save,
+    shorten,
+)
 
 MOST_CASES = 4
 HEIGHT, WIDTH, MAP = 3.0, 4.2, 3.2  # inches of a row, and of its two panels
@@ -40,7 +50,7 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
     ][:MOST_CASES]
     if not cases:
         return None
-    figure = new_figure(WIDTH + MAP + 0.6, HEIGHT * len(cases))
+    figure = new_figure(WIDTH + MAP + 0.8, HEIGHT * len(cases))
     panels = figure.subplots(len(cases), 2, squeeze=False, width_ratios=(WIDTH, MAP))
     for (in_time, path_of_it), index in zip(panels, cases, strict=True):
         own = events(dataset, index)
@@ -49,20 +59,26 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
             time = dataset["elapsed_time"].values
             pressure = dataset["well_pressure"].isel(index).values
             factor, unit = display("Pa", pressure[np.isfinite(pressure)])
-            for name, one in zip(dataset["well"].values, pressure, strict=True):
-                in_time.plot(time, factor * one, ".-", label=legend_text(str(name)))
-            in_time.set(ylabel=f"well pressure ({unit})", ylim=(0.0, None))
-            in_time.legend()
+            names_of = [str(name) for name in dataset["well"].values]
+            for name, one in zip(names_of, pressure, strict=True):
+                in_time.plot(time, factor * one, ".-", label=legend_text(name))
+            what = f"pressure of {shorten(names_of[0], 20)}" if len(names_of) == 1 else "pressure"
+            in_time.set(ylabel=f"{what} ({unit})", ylim=(0.0, None))
+            if len(names_of) > 1:
+                in_time.legend(loc="upper left", bbox_to_anchor=(0.0, -0.2), ncols=3)
         broken = in_time.twinx()
         at = np.sort(own["event_time"].values)
         last = max(float(dataset["elapsed_time"].values[-1]), float(at[-1]))
         counts_in_time = np.append(np.arange(len(at) + 1), len(at))
         broken.step(np.concatenate([[0.0], at, [last]]), counts_in_time, where="post", color=GREY)
-        broken.set(ylabel="breaks, contacts that began to slide", ylim=(0.0, None))
+        broken.set(ylabel="breaks and slides until then", ylim=(0.0, None))
         broken.yaxis.get_major_locator().set_params(integer=True)
         broken.grid(False)
-        in_time.set(xlabel="time (s)", title=case_title(dataset, index))
-        plot_break_places(own, path_of_it).legend()
+        in_time.set_xlabel("time (s)")
+        in_time.set_title(textwrap.fill(case_title(dataset, index), 48))
+        plot_break_places(own, path_of_it).legend(
+            loc="lower left", bbox_to_anchor=(0.0, 1.0), handletextpad=0.1, borderaxespad=0.2
+        )
     return save(figure, path, "Pressure of the wells, breaks in time, and where they are")
 
 

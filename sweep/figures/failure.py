@@ -49,28 +49,33 @@ def draw_failure(
     if not cases:
         return None
     tests = [maps_of(index) for _, index in cases]
-    chosen = sorted({0, len(tests) // 2, len(tests) - 1})
+    cracked = any(len(test["crack_x"]) for test in tests)
+    chosen = sorted({0, len(tests) // 2, len(tests) - 1}) if cracked else []
     shapes = [np.diff(tests[k]["box"].values.reshape(2, 2), axis=1).ravel() for k in chosen]
-    ratios = [4.2, 3.0, *(max(HEIGHT * width / height, 1.4) for width, height in shapes)]
+    ratios = [4.2, *([3.0] if cracked else [])]
+    ratios += [max(HEIGHT * width / height, 1.4) for width, height in shapes]
     figure = new_figure(sum(ratios) + 0.6, HEIGHT + 0.6)
-    curves, counts, *maps = figure.subplots(1, len(ratios), width_ratios=ratios)
+    curves, *others = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
     factor, unit = display("Pa", np.concatenate([t["axial_stress"].values for t in tests]))
     for (name, _), test, colour in zip(cases, tests, sequence(len(tests)), strict=True):
         axial, lateral = 100.0 * test["axial_strain"].values, 100.0 * test["lateral_strain"].values
         stress = factor * test["axial_stress"].values
         curves.plot(axial, stress, color=colour, label=legend_text(name))
         curves.plot(-lateral, stress, color=colour)
-        counts.plot(axial, test["cracks"].values, color=colour)
+        if cracked:
+            others[0].plot(axial, test["cracks"].values, color=colour)
     curves.axvline(0.0, color=GREY, linewidth=0.8)
     curves.set(ylim=(0.0, None), ylabel=f"axial stress ({unit})")
     curves.set_xlabel("lateral  ←  strain (%)  →  axial")
     if len(cases) > 1:
         first = next(a for a in axes(dataset) if a not in ensembles and dataset.sizes[a] > 1)
         curves.legend(title=axis_title(first), title_fontsize=8.5)
-    counts.set(ylim=(0.0, None), xlabel="axial strain (%)", ylabel="cracks")
-    for panel, k in zip(maps, chosen, strict=True):
+    if cracked:
+        others[0].set(ylim=(0.0, None), xlabel="axial strain (%)", ylabel="cracks")
+    for panel, k in zip(others[1:], chosen, strict=True):
         _draw_cracks(panel, tests[k], cases[k][0])
-    return save(figure, path, "Tests to failure: stress, cracks, and where they are at the end")
+    told = "stress, cracks, and where they are at the end" if cracked else "stress; nothing cracked"
+    return save(figure, path, f"Tests to failure: {told}")
 
 
 def _cases(dataset: xr.Dataset, ensembles: Set[str]) -> list[tuple[str, Index]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Collection
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from demflow.model.scene import Scene
 from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.maps import rims
+from demflow.sweep.figures.rates import MOST_CURVES, draw_rates, in_powers
 from demflow.sweep.figures.style import (
     BLACK,
     BLUE,
@@ -27,7 +29,6 @@ from demflow.sweep.figures.style import (
     save,
 )
 
-MOST_CURVES = 12
 WIDEST = 0.6  # of a mean radius, the width of a force at the 99th percentile
 
 
@@ -100,20 +101,23 @@ def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Pat
 def draw_inflow(
     dataset: xr.Dataset, holes: Collection[str], path: Path, ensembles: Collection[str]
 ) -> Path | None:
-    """Steady inflow into holes against the axis that changes it most, a curve for the others.
+    """Inflow into holes against the axis that changes it most, a curve for the others; or in time.
 
     Parameters
     ----------
-    dataset : of a study whose `boundary_flow` has no time.
+    dataset : of a study. Where its `boundary_flow` has times, the inflow is drawn against these.
     holes : names of their sides.
-    path : PNG to write.
-    ensembles : axes whose order means nothing: their mean is drawn, its spread as a bar.
+    path : where the figure is written.
+    ensembles : axes whose order means nothing: their mean is drawn, its spread as a bar or a band.
 
-    None where there is no such flow, or no axis that is a number.
+    None where there is no such flow, or neither a time nor an axis that is a number.
     """
-    if "boundary_flow" not in dataset or "elapsed_time" in dataset["boundary_flow"].dims:
+    if "boundary_flow" not in dataset:
         return None
     known = [name for name in dataset["boundary"].values.tolist() if name in holes]
+    if "elapsed_time" in dataset["boundary_flow"].dims:
+        flow = -dataset["boundary_flow"].sel(boundary=known)
+        return draw_rates(dataset, flow, "inflow", path, ensembles) if known else None
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1 and a not in ensembles]
     numeric = [a for a in varied if a in dataset.coords and dataset[a].dtype.kind in "iuf"]
     if not known or not numeric:
@@ -128,17 +132,19 @@ def draw_inflow(
     x = max(numeric, key=effect)
     others = [a for a in varied if a != x]
     factor, unit = display(str(dataset[x].attrs.get("units", "1")), dataset[x].values)
+    scale, flow_title = in_powers(mean, "inflow")
     figure = new_figure(5.6, 3.8)
     panel = figure.subplots()
     cases = itertools.product(known, *(range(dataset.sizes[a]) for a in others))
+    count = len(known) * math.prod(dataset.sizes[a] for a in others)
     for number, (name, *at) in enumerate(itertools.islice(cases, MOST_CURVES)):
         place = dict(zip(others, at, strict=True))
         told = [f"{axis_title(a)} {axis_value(dataset, a, k)}" for a, k in place.items()]
         one = {"boundary": name}
         panel.errorbar(
             dataset[x].values * factor,
-            mean.sel(one).isel(place).values,
-            spread.sel(one).isel(place).values,
+            mean.sel(one).isel(place).values * scale,
+            spread.sel(one).isel(place).values * scale,
             label=", ".join([name, *told] if len(known) > 1 else told) or name,
             color=BLUE if number % 2 == 0 else VERMILION,
             linestyle=LINE_STYLES[number // 2 % len(LINE_STYLES)],
@@ -153,9 +159,11 @@ def draw_inflow(
         panel.set_yscale("log")
         plain_log_ticks(panel.yaxis)
     panel.set_xlabel(f"{axis_title(x)} ({unit})" if unit else axis_title(x))
-    panel.set_ylabel("inflow (m³/s for 1 m)")
+    panel.set_ylabel(flow_title)
     panel.legend()
     caption = f"Steady inflow into {', '.join(known)} against {axis_title(x)}"
+    if count > MOST_CURVES:
+        caption += f", the first {MOST_CURVES} of {count} curves"
     if over:
         caption += f"; bars: standard deviation over {', '.join(map(axis_title, over))}"
     return save(figure, path, caption + ".")

@@ -41,6 +41,7 @@ from demflow.sweep.figures.style import (
 
 _COMPONENTS = (("k_xx", 0, BLUE, "o"), ("k_yy", 1, VERMILION, "s"))
 MOST_PANELS = 6
+SLANTED, LONGEST_NAME = 16, 24  # letters of a name below a panel
 MOST_ROSES = 10  # cases that are told apart
 SIZE = (2.6, 2.3)  # inches of a panel
 FEW = 4  # curves that are drawn each; of more their range
@@ -61,9 +62,9 @@ def draw_permeability(
     path : where the figure is written
     ensembles : axes whose order means nothing, as seeds
     """
-    tensor = dataset["permeability"]
-    if not np.any(np.isfinite(tensor.values)):
+    if "permeability" not in dataset or not np.any(np.isfinite(dataset["permeability"].values)):
         return None
+    tensor = dataset["permeability"]
     varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
     matter = [a for a in varied if _matters(tensor, a)]
     idle = [a for a in varied if a not in matter]
@@ -160,7 +161,7 @@ def plot_along(
     others = [d for d in values.dims if d != axis]
     curves = values.transpose(*([axis] if axis else []), *others).values * factor
     curves = curves.reshape(values.sizes[axis] if axis else 1, -1)
-    place = _positions(dataset, axis) if axis else np.zeros(1)
+    place = positions(dataset, axis) if axis else np.zeros(1)
     order = np.argsort(place)
     place, curves = place[order], curves[order]
     many = curves.shape[1]
@@ -201,7 +202,7 @@ def _numeric(dataset: xr.Dataset, axis: str) -> bool:
     return axis in dataset.coords and dataset[axis].dtype.kind in "iuf"
 
 
-def _positions(dataset: xr.Dataset, axis: str) -> np.ndarray:
+def positions(dataset: xr.Dataset, axis: str) -> np.ndarray:
     """Where the values of an axis stand: at themselves, or one apart where they are words."""
     if _numeric(dataset, axis):
         return dataset[axis].values.astype(float) * _axis_unit(dataset, axis)[0]
@@ -216,12 +217,13 @@ def tick_names(dataset: xr.Dataset, axis: str | None) -> list[str]:
     """Words under an axis of a study that is no number; none where it is one."""
     if axis is None or _numeric(dataset, axis):
         return []
-    return [shorten(axis_value(dataset, axis, i), 32) for i in range(dataset.sizes[axis])]
+    return [shorten(axis_value(dataset, axis, i), LONGEST_NAME) for i in range(dataset.sizes[axis])]
 
 
 def room_of_names(names: list[str]) -> float:
     """Inches that slanted words take below a panel."""
-    return 0.04 * max(map(len, names), default=0)
+    longest = max(map(len, names), default=0)
+    return 0.04 * longest if longest <= SLANTED else 0.062 * longest
 
 
 def place_axis(panel: Axes, dataset: xr.Dataset, axis: str, names: list[str]) -> None:
@@ -237,7 +239,8 @@ def place_axis(panel: Axes, dataset: xr.Dataset, axis: str, names: list[str]) ->
     if not _numeric(dataset, axis):
         name_ticks(panel.xaxis, range(len(names)), names)
         if max(map(len, names), default=0) * len(names) > 24:
-            panel.tick_params(axis="x", labelrotation=30)
+            steep = max(map(len, names)) > SLANTED  # it must not reach beyond the figure's left
+            panel.tick_params(axis="x", labelrotation=60 if steep else 30)
             for text in panel.get_xticklabels():
                 text.set_horizontalalignment("right")
         panel.set_xlabel(axis_title(axis))

@@ -59,14 +59,15 @@ def draw_sensitivity(dataset: xr.Dataset, path: Path) -> Path | None:
         return None
     panels = panels[:MOST]
     names = list(panels[0][1]["parameter"].values)
-    figure = new_figure(2.0 + 2.4 * len(panels), 1.4 + 0.4 * len(names))
+    figure = new_figure(2.0 + 2.4 * len(panels), 1.7 + 0.4 * len(names))
     unknown = 0
     for panel, (title, found) in zip(
         figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True
     ):
         unknown = max(unknown, int(found["unknown"]))
         plot_sensitivity(found, panel).set_title(title)
-    figure.axes[0].legend()
+    handles, words = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, words, loc="outside lower center", ncols=2)
     what = "Sobol' indices" if method == "saltelli" else "Effects of whole ranges"
     told = f"; {unknown} cases without a good result are bounded by the others" if unknown else ""
     return save(figure, path, f"{what} of the sampled parameters, with 95 % intervals{told}")
@@ -93,6 +94,9 @@ def plot_sensitivity(found: xr.Dataset, panel: Axes) -> Axes:
             label=legend_text(words),
         )  # fmt: skip
         panel.hlines(rows + place, low, high, color=BLACK, linewidth=1.2)
+    if units == "1" and method == "saltelli":  # an interval that leaves the panel says nothing
+        left, right = panel.get_xlim()
+        panel.set_xlim(max(left, -0.5), min(right, 1.5))
     panel.set(xlabel=unit or "part of the variance", ylim=(len(names) - 0.5, -0.5))
     name_ticks(panel.yaxis, rows, names)
     return panel

@@ -10,7 +10,8 @@ import xarray as xr
 from matplotlib.ticker import MaxNLocator
 
 from demflow.model.scene import MEASURED_BY_A_TEST
-from demflow.sweep.analysis.cases import axes, axis_title, display
+from demflow.sweep.analysis.cases import axes, display
+from demflow.sweep.figures.permeability import place_axis, positions, tick_names
 from demflow.sweep.figures.style import BLUE, new_figure, save
 
 
@@ -36,10 +37,10 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
         factor, unit = display(quantity.attrs.get("units", "1"), quantity.values)
         if along:
             rows = quantity.transpose(along[0], ...).values.reshape(quantity.sizes[along[0]], -1)
-            at, title = _places(dataset, along[0], len(rows))
+            at = positions(dataset, along[0])
             panel.plot(at, factor * rows, "o", color=BLUE, markersize=3, alpha=0.6)
             panel.plot(at, factor * _means(rows), color=BLUE)
-            panel.set_xlabel(title)
+            place_axis(panel, dataset, along[0], tick_names(dataset, along[0]))
         else:
             panel.plot(factor * quantity.values.ravel(), "o", color=BLUE)
             panel.set_xticks([])
@@ -59,13 +60,3 @@ def _means(rows: np.ndarray) -> np.ndarray:
     total = np.nansum(rows, axis=1)
     found: np.ndarray = np.divide(total, count, out=np.full(len(rows), np.nan), where=count > 0)
     return found
-
-
-def _places(dataset: xr.Dataset, axis: str, count: int) -> tuple[np.ndarray, str]:
-    """Where the values of an axis lie, in a unit for people, and its title."""
-    title = axis_title(axis)
-    if axis not in dataset.coords or dataset[axis].dtype.kind not in "iuf":
-        return np.arange(count), title
-    values = np.asarray(dataset[axis].values, dtype=float)
-    factor, unit = display(str(dataset[axis].attrs.get("units", "1")), values)
-    return factor * values, f"{title} ({unit})" if unit else title

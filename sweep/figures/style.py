@@ -75,6 +75,7 @@ _RC: Any = {
     "lines.linewidth": 1.6,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
+    "axes.formatter.useoffset": False,
     "text.parse_math": False,  # a `$` of a title or a name is a `$`
     "text.usetex": False,
     "svg.fonttype": "none",  # text stays text
@@ -168,7 +169,9 @@ def fixed_panels(
         x = left + column * (size[0] + between[0])
         y = height - top - (row + 1) * size[1] - row * between[1]
         panel = figure.add_axes((x / width, y / height, size[0] / width, size[1] / height))
-        panel.tick_params(labelleft=column == 0, labelbottom=k + columns >= (shown or 1))
+        panel.tick_params(
+            which="both", labelleft=column == 0, labelbottom=k + columns >= (shown or 1)
+        )
         panels.append(panel)
     return figure, panels
 
@@ -337,6 +340,15 @@ def plain_log_ticks(axis: Axis) -> None:
     axis.set_major_formatter(shown)
     axis.set_minor_locator(LogLocator(subs=(2.0, 5.0)))
     axis.set_minor_formatter(shown)
+
+
+def decade_ticks(axis: Axis) -> None:
+    """Ticks of a logarithmic axis at decades; where it shows fewer than two, between them too."""
+    low, high = np.log10(axis.get_view_interval())
+    if math.floor(high) - math.ceil(low) < 1:
+        plain_log_ticks(axis)
+    else:
+        axis.set_minor_locator(NullLocator())
 
 
 def name_ticks(axis: Axis, places: ArrayLike, names: Sequence[str]) -> None:

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
-from matplotlib.image import AxesImage
+from matplotlib.figure import Figure
 
-from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display, plain_number
 from demflow.sweep.analysis.permeability import principal_permeability
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
@@ -26,6 +27,7 @@ from demflow.sweep.figures.style import (
 )
 
 MOST_TICKS = 7
+FEW = 8  # values over two axes that lines can still tell
 
 
 def plot_over(dataset: xr.Dataset, values: xr.DataArray, x: str, y: str, panel: Axes) -> Axes:
@@ -65,8 +67,8 @@ def plot_over(dataset: xr.Dataset, values: xr.DataArray, x: str, y: str, panel: 
 def plot_ellipses(dataset: xr.Dataset, x: str, y: str, panel: Axes) -> Axes:
     """Draw permeability tensors over two axes of a study as ellipses; return the axes.
 
-    Half axes are the principal permeabilities, all at one scale, directions those in the rock. The
-    mean over the other axes is drawn.
+    Half axes are the principal permeabilities, directions those in the rock: all at one scale, or,
+    where they span more than a decade, each at its own. The mean over the other axes is drawn.
 
     Parameters
     ----------
@@ -85,28 +87,33 @@ def plot_ellipses(dataset: xr.Dataset, x: str, y: str, panel: Axes) -> Axes:
     largest, smallest, direction = (
         found[name].transpose(y, x).values for name in ("largest", "smallest", "direction")
     )
-    scale = 0.9 / float(np.nanmax(largest))
+    size = panel.get_window_extent()
+    by: Literal["x", "y"]
+    by = "x" if size.width * largest.shape[0] < size.height * largest.shape[1] else "y"
     drawn = np.nan_to_num(largest) > 0.0
+    most = float(np.nanmax(largest))
+    alike = bool(np.all(largest[drawn] >= 0.1 * most))
+    scale = 0.9 / (np.full(np.count_nonzero(drawn), most) if alike else largest[drawn])
     panel.add_collection(
         EllipseCollection(
             largest[drawn] * scale,
             np.maximum(smallest[drawn], 0.0) * scale,
             direction[drawn],
-            units="xy",
+            units=by,  # of the narrower side of the cells: they are round where the rock is
             offsets=np.argwhere(drawn)[:, ::-1],
             offset_transform=panel.transData,
             facecolors=BLUE,
+            edgecolors=BLUE,  # so that the thinnest is a line
             alpha=0.75,
-            linewidths=0,
+            linewidths=0.6,
         ),
         autolim=False,
     )
-    panel.set(
-        xlim=(-0.6, largest.shape[1] - 0.4), ylim=(-0.6, largest.shape[0] - 0.4), aspect="equal"
-    )
+    panel.set(xlim=(-0.5, largest.shape[1] - 0.5), ylim=(-0.5, largest.shape[0] - 0.5))
     _name_places(dataset, x, y, panel)
     factor, unit = display("m2", largest)
-    panel.set_title(f"largest {factor * float(np.nanmax(largest)):.3g} {unit}")
+    told = f"largest {plain_number(factor * most, 3)} {unit}"
+    panel.set_title(told if alike else f"{told}, own scales")
     return panel
 
 
@@ -136,54 +143,107 @@ def draw_two_axes(dataset: xr.Dataset, path: Path) -> Path | None:
     dataset : as `open_results` gives it
     path : where the figure is written
     """
-    if "permeability" not in dataset or not np.any(np.isfinite(dataset["permeability"].values)):
+    if "permeability" not in dataset:
         return None
     tensor = dataset["permeability"]
-    varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
-
-    def effect(axis: str) -> float:
-        return float(np.nan_to_num(abs(tensor.max(axis) - tensor.min(axis)).max()))
-
-    strong = sorted(varied, key=effect, reverse=True)[:2]
-    size = float(abs(tensor).max())
-    if len(strong) < 2 or min(map(effect, strong)) <= 1e-9 * size:
+    found = strongest(dataset, tensor)
+    if found is None:
         return None
-    x, y = sorted(strong, key=lambda axis: -dataset.sizes[axis])
-    if dataset.sizes[x] * dataset.sizes[y] <= 8:
-        return None  # few enough for lines
-    figure, panels = fixed_panels(
-        3 if narrow() else 1,
-        1 if narrow() else 3,
-        (2.5, 2.5),
-        between=(1.25, 1.2),
-        margins=(1.0, 0.6, 0.95, 0.6),
-    )
-    width = figure.get_size_inches()[0]
-    for k, (panel, name) in enumerate(zip(panels[:2], ("k_xx", "k_yy"), strict=True)):
-        values = tensor.isel(row=k, column=k).rename(name)
-        plot_over(dataset, values.assign_attrs(long_name=name), x, y, panel)
-        image = panel.images[0]
-        box = panel.get_position()
-        bar = figure.add_axes((box.x1 + 0.08 / width, box.y0, 0.1 / width, box.height))
-        _colour_bar(image, bar)
-        panel.set_title(str(image.get_label()))
-    panels[2].set_anchor("W")
-    plot_ellipses(dataset, x, y, panels[2])
-    for panel in panels:
-        panel.tick_params(labelleft=narrow() or panel is panels[0], labelbottom=True)
-    for panel in panels[1:] if not narrow() else []:
-        panel.set_ylabel("")
+    x, y = found
+    fields = [
+        tensor.isel(row=k, column=k).rename(name).assign_attrs(long_name=name)
+        for k, name in enumerate(("k_xx", "k_yy"))
+    ]
+    figure = _figure(dataset, fields, x, y, ellipses=True)
     heading(figure, f"Permeability over {axis_title(x)} and {axis_title(y)}", fontsize=11)
-    others = [axis_title(a) for a in varied if a not in (x, y)]
-    told = f", means over {', '.join(others)}" if others else ""
     caption = (
-        f"Permeability over {axis_title(x)} and {axis_title(y)}{told}: its diagonal as colours, "
-        "ellipses whose half axes are the principal permeabilities."
+        f"Permeability over {axis_title(x)} and {axis_title(y)}{_means(dataset, x, y)}: its "
+        "diagonal as colours, ellipses whose half axes are the principal permeabilities; where "
+        "they span more than a decade, each at its own scale."
     )
     return save(figure, path, caption)
 
 
-def _colour_bar(image: AxesImage, bar: Axes) -> None:
-    figure = image.get_figure(root=True)
-    assert figure is not None
-    figure.colorbar(image, cax=bar)
+def draw_drawdown(dataset: xr.Dataset, well: str, path: Path) -> Path | None:
+    """Largest pressure change of a well over the two axes that change it most; None without two.
+
+    Parameters
+    ----------
+    dataset : as `open_results` gives it, with `pressure_change`
+    well : name of the well
+    path : where the figure is written
+    """
+    change = dataset["pressure_change"].sel(well=well, drop=True).max("elapsed_time")
+    found = strongest(dataset, change)
+    if found is None:
+        return None
+    x, y = found
+    shown = change.assign_attrs(units="Pa", long_name="largest pressure change")
+    figure = _figure(dataset, [shown], x, y)
+    heading(figure, f"Well {well} over {axis_title(x)} and {axis_title(y)}", fontsize=11)
+    caption = (
+        f"Largest change of the pressure at {well} within a flow period over {axis_title(x)} and "
+        f"{axis_title(y)}{_means(dataset, x, y)}."
+    )
+    return save(figure, path, caption)
+
+
+def strongest(dataset: xr.Dataset, values: xr.DataArray) -> tuple[str, str] | None:
+    """The two axes along which numbers change most, the longer first.
+
+    None where fewer than two change them, or few enough of their values to be told by lines.
+    """
+    size = float(np.nan_to_num(abs(values)).max(initial=0.0))
+    varied = [a for a in axes(dataset) if dataset.sizes[a] > 1]
+
+    def effect(axis: str) -> float:
+        return float(np.nan_to_num(values.max(axis) - values.min(axis)).max())
+
+    strong = [a for a in sorted(varied, key=effect, reverse=True)[:2] if effect(a) > 1e-9 * size]
+    if len(strong) < 2 or dataset.sizes[strong[0]] * dataset.sizes[strong[1]] <= FEW:
+        return None
+    x, y = sorted(strong, key=lambda axis: -dataset.sizes[axis])
+    return x, y
+
+
+def _figure(
+    dataset: xr.Dataset, fields: list[xr.DataArray], x: str, y: str, *, ellipses: bool = False
+) -> Figure:
+    """A panel of colours with its bar for each field; ellipses beside them."""
+    count = len(fields) + ellipses
+    longest, beside = (
+        max(len(shorten(axis_value(dataset, one, k), 14)) for k in range(dataset.sizes[one]))
+        for one in (x, y)
+    )
+    figure, panels = fixed_panels(
+        count if narrow() else 1,
+        1 if narrow() else count,
+        (2.5, 2.5) if count > 1 else (3.4, 2.7),
+        between=(1.0, 0.9 + 0.04 * longest),
+        margins=(
+            0.5 + 0.075 * beside,
+            0.25 if ellipses and not narrow() else 0.75,
+            0.55 + 0.04 * longest,
+            0.6,
+        ),
+    )
+    width = figure.get_size_inches()[0]
+    for panel, values in zip(panels, fields, strict=False):
+        plot_over(dataset, values, x, y, panel)
+        image = panel.images[0]
+        box = panel.get_position()
+        bar = figure.add_axes((box.x1 + 0.08 / width, box.y0, 0.1 / width, box.height))
+        figure.colorbar(image, cax=bar)
+        panel.set_title(str(image.get_label()))
+    if ellipses:
+        plot_ellipses(dataset, x, y, panels[-1])
+    for panel in panels:
+        panel.tick_params(labelleft=narrow() or panel is panels[0], labelbottom=True)
+    for panel in panels[1:] if not narrow() else []:
+        panel.set_ylabel("")
+    return figure
+
+
+def _means(dataset: xr.Dataset, x: str, y: str) -> str:
+    others = [axis_title(a) for a in axes(dataset) if dataset.sizes[a] > 1 and a not in (x, y)]
+    return f", means over {', '.join(others)}" if others else ""

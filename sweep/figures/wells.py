@@ -28,6 +28,7 @@ from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     GREY,
     LIGHT_GREY,
+    decade_ticks,
     fixed_panels,
     heading,
     legend_text,
@@ -92,13 +93,14 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     shown = _panels(dataset, good[0])
     time_factor, time_name = time_unit(times)
     lines: list[list[_Line]] = []
+    curves = dataset[["pressure_change", "pressure_derivative"]]
     for one in shown:
         blues, reds = (shades(name, len(one.shown)) for name in ("Blues", "Reds"))
         lines.append([])
         for index, blue, red in zip(one.shown, blues, reds, strict=True):
             own = well_of(index, well)
             if own is not None:
-                lines[-1] += _lines(dataset.isel(index), well, own, (blue, red))
+                lines[-1] += _lines(curves.isel(index), well, own, (blue, red))
     drawn = [line for own in lines for line in own if len(line.time)]
     if not drawn:
         return None
@@ -117,9 +119,11 @@ def draw_well(dataset: xr.Dataset, well: str, well_of: WellOf, path: Path) -> Pa
     for panel, drawn_there, head in zip(panels, lines, heads, strict=True):
         _draw_panel(panel, drawn_there, head, (time_factor, factor))
         panel.set(xlim=np.multiply(x, time_factor), ylim=np.multiply(y, factor))
-    corner = _emptiest_corner(panels)
+        decade_ticks(panel.xaxis)
+        decade_ticks(panel.yaxis)
+    fan = _emptiest_corner(panels)
     for k, panel in enumerate(panels):
-        _slope_fan(panel, corner)
+        _slope_fan(panel, *fan)
         if k + beside_each_other >= len(panels):
             panel.set_xlabel(f"time since the rate change ({time_name})")
         if k % beside_each_other == 0:
@@ -143,7 +147,6 @@ def _draw_panel(panel: Axes, lines: list[_Line], head: _Head, factors: tuple[flo
             marker="." if len(line.time) <= 12 else "",
         )
     panel.set(xscale="log", yscale="log")
-    panel.minorticks_off()
     if head.handles:
         panel.legend(
             handles=head.handles,
@@ -321,33 +324,51 @@ def shut_in(dataset: xr.Dataset, well: str) -> bool:
     return bool(np.any(flowed & (rate == 0.0)))
 
 
-def _fan_size(panel: Axes) -> tuple[float, float, float]:
-    """Length of the fan in decades, and the part of the panel that it takes, wide and high."""
+def _fan_size(panel: Axes, share: float) -> tuple[float, float, float]:
+    """Length of the fan in decades, and the part of the panel that it takes, wide and high.
+
+    `share` is of its greatest length, a fifth of the panel's width.
+    """
     (x0, x1), (y0, y1) = np.log10(panel.get_xlim()), np.log10(panel.get_ylim())
-    reach = min(0.2 * (x1 - x0), 0.26 * (y1 - y0))
+    reach = share * min(0.2 * (x1 - x0), 0.26 * (y1 - y0))
     return reach, reach / (x1 - x0), reach / (y1 - y0)
 
 
-def _emptiest_corner(panels: list[Axes]) -> tuple[float, float]:
-    """Where in the panels (as a part of each) a fan of slopes covers least of the data."""
-    _, width, height = _fan_size(panels[0])
+def _emptiest_corner(panels: list[Axes]) -> tuple[tuple[float, float], float]:
+    """Where in the panels (as a part of each) a fan of slopes covers least of the data.
+
+    And the share of its length: less where it would cover any in every corner.
+    """
     (x0, x1), (y0, y1) = np.log10(panels[0].get_xlim()), np.log10(panels[0].get_ylim())
     lines = [np.array(line.get_xydata(), dtype=float) for panel in panels for line in panel.lines]
-    data = np.log10(np.concatenate(lines))
-    place = (data - [x0, y0]) / [x1 - x0, y1 - y0]
-    reach = [0.6 * width + 0.05, 0.6 * height + 0.03]
+    place = np.concatenate(
+        [_along((np.log10(one) - [x0, y0]) / [x1 - x0, y1 - y0]) for one in lines]
+    )
+    found = []
+    for share in (1.0, 0.7, 0.5):
+        _, width, height = _fan_size(panels[0], share)
+        reach = [0.6 * width + 0.05, 0.6 * height + 0.03]
+        left, right, bottom, top = 0.04, 0.88 - width, 0.06, 0.96 - height
+        for corner in ((left, top), (right, bottom), (left, bottom), (right, top)):
+            middle = np.array(corner) + np.array([width, height]) / 2
+            crowd = int(np.sum(np.all(np.abs(place - middle) < reach, axis=1)))
+            if crowd == 0:
+                return corner, share
+            found.append((crowd, corner, share))
+    _, corner, share = min(found)
+    return corner, share
 
-    def crowd(corner: tuple[float, float]) -> int:
-        middle = np.array(corner) + np.array([width, height]) / 2
-        return int(np.sum(np.all(np.abs(place - middle) < reach, axis=1)))
 
-    left, right, bottom, top = 0.04, 0.88 - width, 0.06, 0.96 - height
-    return min([(left, top), (right, bottom), (left, bottom), (right, top)], key=crowd)
+def _along(line: np.ndarray) -> np.ndarray:
+    """Points close together along a line of few, (n, 2)."""
+    share = np.linspace(0.0, 1.0, 12)[:, None, None]
+    between: np.ndarray = line[:-1] + share * np.diff(line, axis=0)
+    return between.reshape(-1, 2) if len(line) > 1 else line
 
 
-def _slope_fan(panel: Axes, corner: tuple[float, float]) -> None:
+def _slope_fan(panel: Axes, corner: tuple[float, float], share: float) -> None:
     """Short grey lines of slope 1, 1/2, 1/4 and 0."""
-    reach, width, height = _fan_size(panel)
+    reach, width, height = _fan_size(panel, share)
     low = np.array([np.log10(panel.get_xlim()[0]), np.log10(panel.get_ylim()[0])])
     start = low + np.array(corner) * reach / np.array([width, height])
     for slope, name in _SLOPES:

@@ -78,13 +78,14 @@ def test_a_sweep_gets_its_pictures(results):
     paths = write_figures(dataset, folder, study).paths
     assert names(paths) == [
         "well_pressure_producer.png",
+        "drawdown_over_producer.png",
         *(f"pressure_map_{k}.png" for k in range(2)),
         "permeability.png",
     ]
     assert all(p.parent == folder / "figures" for p in paths)
     assert "36 cases" in caption(paths[0])
     assert "L = 0.1" in caption(paths[0])
-    assert "fracture angle 65°" in caption(paths[2])
+    assert "fracture angle 65°" in caption(paths[3])
     assert "does not change with rate" in caption(paths[-1])
 
 
@@ -121,6 +122,24 @@ def test_a_comparison_that_cannot_be_is_refused(results):
     drawn = write_figures(dataset, folder, study)
     assert [("no fractures" in message) for message in drawn.messages] == [True]
     assert "permeability.png" in names(drawn.paths)
+
+
+def test_what_is_gone_is_told_and_the_rest_is_drawn(results, monkeypatch):
+    study, dataset, folder = results(SMALL)
+
+    def gone(*_, **__):
+        raise ResultsError("the case has no flow: it was not run")
+
+    monkeypatch.setattr(figures, "case_of", gone)
+    drawn = write_figures(dataset, folder, study)
+    assert drawn.messages == [
+        f"pressure_map_{k} was not drawn: the case has no flow: it was not run" for k in range(2)
+    ]
+    assert names(drawn.paths) == [
+        "well_pressure_producer.png",
+        "drawdown_over_producer.png",
+        "permeability.png",
+    ]
 
 
 def test_nothing_done_draws_nothing(results):

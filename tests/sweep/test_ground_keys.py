@@ -90,3 +90,28 @@ def test_inflow_is_drawn_against_the_axis_that_changes_it_most(tmp_path):
         assert draw_inflow(whole, {"shaft"}, tmp_path / "none.png", {"seed"}) is None
         alone = whole.isel(half=[0], far=[0])
         assert draw_inflow(alone, {"drift"}, tmp_path / "none.png", {"seed"}) is None
+
+
+@pytest.mark.slow
+def test_inflow_is_drawn_in_time_where_there_is_time(tmp_path):
+    half, seed, time = np.geomspace(1e6, 1e8, 12), np.array([1, 2]), np.array([0.0, 1e3, 1e4, 1e5])
+    flow = np.einsum("h,s,t->hst", half, 1.0 + 0.01 * seed, 1e-14 / (1.0 + time))
+    whole = xr.Dataset(
+        {
+            "status": (("half", "seed"), np.zeros((12, 2), np.int8)),
+            "boundary_flow": (
+                ("half", "seed", "boundary", "elapsed_time"), np.stack([-flow, flow], 2)
+            ),
+        },
+        {"half": half, "seed": seed, "boundary": ["drift", "top"], "elapsed_time": time},
+    )  # fmt: skip
+    with house_style():
+        path = draw_inflow(whole, {"drift"}, tmp_path / "inflow.png", {"seed"})
+        assert path is not None
+        with Image.open(path) as image:
+            told = image.info["Description"]
+        words = "8 of 12 values of half; bands: standard deviation over seed"
+        assert told == f"Inflow of drift in time; {words}."
+        alone = whole.isel(half=[3], seed=[0])
+        assert draw_inflow(alone, {"drift"}, tmp_path / "alone.png", {"seed"}) is not None
+        assert draw_inflow(whole, {"shaft"}, tmp_path / "none.png", {"seed"}) is None

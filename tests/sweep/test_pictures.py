@@ -6,13 +6,15 @@ import pytest
 import xarray as xr
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
 from matplotlib.patches import Wedge
+from PIL import Image
 
 import demflow.sweep.accessor  # noqa: F401 -- registers `dataset.demflow`
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import Form, house_style
 from demflow.sweep.figures.traces import draw_traces_of
-from demflow.sweep.figures.two_axes import draw_two_axes
+from demflow.sweep.figures.two_axes import draw_drawdown, draw_two_axes
 from demflow.sweep.study.units import parse_unit
 
 RNG = np.random.default_rng(7)
@@ -104,6 +106,32 @@ def test_ellipses_are_the_tensors(panel):
     np.testing.assert_allclose(found.get_angles(), dataset.angle[row], atol=1e-9)
     np.testing.assert_allclose(found.get_widths() / found.get_heights(), 4.0)
     np.testing.assert_allclose(found.get_widths(), 0.9 * (1 + column) / 3)
+
+
+@pytest.mark.parametrize("shape", [(6.0, 6.0), (9.0, 3.0), (3.0, 9.0)])
+def test_ellipses_do_not_overlap_whatever_the_shape_of_the_panel(shape):
+    figure = Figure(shape, layout="none")
+    panel = figure.subplots()
+    study().demflow.plot_ellipses("seed", "angle", panel)
+    figure.draw_without_rendering()
+    (found,) = (one for one in panel.collections if isinstance(one, EllipseCollection))
+    by = found.get_offset_transform().transform(np.eye(2)) - panel.transData.transform((0, 0))
+    pixels = by[0, 0] if found._units == "x" else by[1, 1]
+    assert found.get_widths().max() * pixels <= 0.9001 * min(by[0, 0], by[1, 1])
+
+
+def test_a_drawdown_over_two_axes_needs_more_than_lines_can_tell(tmp_path):
+    dataset = study()
+    change = np.arange(24.0).reshape(4, 3, 1, 2)
+    dataset["pressure_change"] = (("angle", "seed", "well", "elapsed_time"), change)
+    dataset = dataset.assign_coords(well=["w"], elapsed_time=[1.0, 2.0])
+    with house_style():
+        path = draw_drawdown(dataset, "w", tmp_path / "w.png")
+        few = draw_drawdown(dataset.isel(seed=[0, 1]), "w", tmp_path / "few.png")
+    assert path is not None
+    with Image.open(path) as image:
+        assert "pressure at w within a flow period over angle and seed" in image.info["Description"]
+    assert few is None
 
 
 def test_a_rose_reaches_as_far_as_the_rock_is_permeable(panel):
