@@ -150,7 +150,10 @@ def _by_models(
     request: FitRequest, test: MeasuredTest
 ) -> tuple[np.ndarray, np.ndarray, tuple[tuple[float, float], ...], dict[str, Fit]]:
     if test.rate_changes is None:
-        raise ResultsError(f"data.{test.name} has no rates, without which there is nothing to fit")
+        what = (
+            "has no rates, without which there is nothing to fit; give `rates: [[time, rate], …]`"
+        )
+        raise ResultsError(f"data.{test.name} {what}")
     rates = test.rate_changes
     try:
         Superposed(test.time, rates)
