@@ -288,6 +288,11 @@ def test_all_contradictions_are_told_at_once():
         lambda: Trace(name="t", start=(0, 0), end=(1, 1)),
         lambda: Trace(name="t", aperture=1e-4, permeability=1e-12, start=(0, 0), end=(1, 1)),
         lambda: Trace(name="t", aperture=1e-4, start=(0.5, 0.5), end=(0.5, 0.5)),
+        lambda: Trace(name="t", aperture=1e-4, at=(0.0, 0.0), length=1.0),
+        lambda: Trace(name="t", aperture=1e-4, at=(0.0, 0.0), angle=0.0, length=0.0),
+        lambda: Trace(
+            name="t", aperture=1e-4, at=(0.0, 0.0), angle=0.0, length=1.0, end=(1.0, 1.0)
+        ),
         lambda: Well(name="w", at=(0, 0), radius=1.0),
         lambda: Well(name="w", at=(0, 0), radius=1.0, rate=1.0, pressure=1.0),
         lambda: Well(name="w", at=(0, 0), radius=1.0, schedule=()),
@@ -298,6 +303,19 @@ def test_all_contradictions_are_told_at_once():
 )
 def test_parts_that_contradict_themselves(make):
     assert problems(make)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6, -2.0])
+def test_a_trace_by_its_centre_is_the_line_between_its_ends(angle):
+    by_centre = Trace(name="t", aperture=1e-4, at=(0.3, -0.2), angle=angle, length=3.0)
+    (x0, y0), (x1, y1) = by_centre.points
+    assert math.hypot(x1 - x0, y1 - y0) == pytest.approx(3.0, rel=1e-15)
+    assert math.atan2(y1 - y0, x1 - x0) == pytest.approx(angle, abs=1e-15)
+    assert (0.5 * (x0 + x1), 0.5 * (y0 + y1)) == pytest.approx((0.3, -0.2), rel=1e-15)
+    wings = BiWing(name="t", aperture=1e-4, at=(0.3, -0.2), angle=angle, half_length=1.5)
+    assert by_centre.points == wings.points
+    between = Trace(name="t", aperture=1e-4, start=(x0, y0), end=(x1, y1))
+    assert between.points == by_centre.points
 
 
 def test_auto_is_decided_by_the_times():

@@ -159,6 +159,12 @@ class _FractureProperties:
         return problems
 
 
+def _ends(at: tuple[float, float], angle: float, half: float) -> tuple[tuple[float, float], ...]:
+    """The tips of a straight line about its centre, m."""
+    dx, dy = half * math.cos(angle), half * math.sin(angle)
+    return (at[0] - dx, at[1] - dy), (at[0] + dx, at[1] + dy)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BiWing(_FractureProperties):
     """A straight fracture with two equal wings, as hydraulic fracturing makes from a well."""
@@ -175,9 +181,7 @@ class BiWing(_FractureProperties):
     @property
     def points(self) -> tuple[tuple[float, float], ...]:
         """The two tips, m."""
-        dx = self.half_length * math.cos(self.angle)
-        dy = self.half_length * math.sin(self.angle)
-        return (self.at[0] - dx, self.at[1] - dy), (self.at[0] + dx, self.at[1] + dy)
+        return _ends(self.at, self.angle, self.half_length)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -204,10 +208,17 @@ class FractureSet(_FractureProperties):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trace(_FractureProperties):
-    """A single fracture: straight from point to point, or with bends through its vertices."""
+    """A single fracture: from point to point, by its centre, or with bends through its vertices."""
 
     start: tuple[float, float] | None = parameter("m", default=None, key="from", help="one end")
     end: tuple[float, float] | None = parameter("m", default=None, key="to", help="other end")
+    at: tuple[float, float] | None = parameter(
+        "m", default=None, help="centre, with angle and length instead of from and to"
+    )
+    angle: float | None = parameter(
+        "rad", default=None, help="angle from the x axis, counter-clockwise"
+    )
+    length: float | None = parameter("m", default=None, above=0, help="whole length")
     vertices: tuple[tuple[float, float], ...] | None = parameter(
         "m", default=None, help="ends and bends in order, instead of from and to"
     )
@@ -215,13 +226,19 @@ class Trace(_FractureProperties):
     def __post_init__(self) -> None:
         check_fields(self)
         problems = self._problems()
-        if (self.vertices is None) == (self.start is None and self.end is None):
-            problems.append(("", "give either both from and to, or vertices"))
+        forms: tuple[dict[str, object], ...] = (
+            {"from": self.start, "to": self.end},
+            {"at": self.at, "angle": self.angle, "length": self.length},
+            {"vertices": self.vertices},
+        )
+        given = [form for form in forms if any(value is not None for value in form.values())]
+        if len(given) != 1:
+            problems.append(("", "give either from and to, or at, angle and length, or vertices"))
+        elif lacking := [key for key, value in given[0].items() if value is None]:
+            problems.append(("", f"lacks {' and '.join(lacking)}"))
         elif self.vertices is not None:
             problems += [("vertices", what) for what in polyline_problems(self.vertices)]
-        elif self.start is None or self.end is None:
-            problems.append(("", f"lacks {'from' if self.start is None else 'to'}"))
-        elif self.start == self.end:
+        elif self.start is not None and self.start == self.end:
             problems.append(("to", "the fracture has zero length"))
         if problems:
             raise SceneError(problems)
@@ -231,6 +248,8 @@ class Trace(_FractureProperties):
         """Its ends and bends in order, m."""
         if self.start is not None and self.end is not None:
             return self.start, self.end
+        if self.at is not None and self.angle is not None and self.length is not None:
+            return _ends(self.at, self.angle, 0.5 * self.length)
         return self.vertices or ()
 
 
@@ -361,11 +380,9 @@ def _placement_problems(fracture: Fracture, region: Region) -> Problems:
     elif isinstance(fracture, TraceMap):
         yield from _map_problems(fracture, region)
     elif not _meets(fracture.points, region):
-        key = "vertices"
-        if isinstance(fracture, BiWing):
-            key = "at"
-        elif fracture.vertices is None:
-            key = "from"
+        key = "at"
+        if isinstance(fracture, Trace) and fracture.at is None:
+            key = "from" if fracture.vertices is None else "vertices"
         yield key, "the fracture lies outside the region, or along its rim"
 
 
