@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import MISSING, Field, field, fields
+from functools import cache
 from numbers import Real
 from typing import Any
 
@@ -143,10 +144,16 @@ def _size_problem(meta: Mapping[str, Any], value: Any, show: Callable[[float], s
     return None
 
 
+@cache
+def _declared(kind: type) -> tuple[Field[Any], ...]:
+    """The fields of a dataclass that declare anything."""
+    return tuple(declared for declared in fields(kind) if declared.metadata)
+
+
 def check_fields(instance: Any) -> None:
     """Raise SceneError with every field of a dataclass that breaks its declaration."""
     problems = []
-    for declared in fields(instance):
+    for declared in _declared(instance.__class__):
         what = bound_problem(declared, getattr(instance, declared.name))
         if what is not None:
             problems.append((declared.metadata["key"] or declared.name, what))

@@ -39,6 +39,9 @@ class State(IntEnum):
     BLOCKED = 5  # a run that it needs has failed
 
 
+WAITING, READY, RUNNING, DONE, FAILED, BLOCKED = State  # asking an enumeration each time is slow
+
+
 class Tally(NamedTuple):
     """Numbers of cases: all is stored, something has failed, and neither."""
 
@@ -63,9 +66,9 @@ class Schedule:
     ):
         self.plan = plan
         self.costs = costs or Costs()
-        self.state = np.full(len(plan.runs), State.WAITING, dtype=np.int8)
-        self.state[stored] = State.DONE
-        self.state[failed & ~stored] = State.FAILED
+        self.state = np.full(len(plan.runs), WAITING, dtype=np.int8)
+        self.state[stored] = DONE
+        self.state[failed & ~stored] = FAILED
         self.suspects: set[int] = set()  # of which one may have ended its worker
         self.lot_seconds = LOT_SECONDS
         number: dict[CostClass, int] = {}
@@ -77,7 +80,7 @@ class Schedule:
         self._ready: list[tuple[int, int]] = []  # heap of (first case, −1 of a suspect; run)
         self._children: dict[int, list[int]] = {}
         left = plan.to_run(stored, failed)
-        self.state[(self.state == State.WAITING) & ~left] = State.BLOCKED
+        self.state[(self.state == WAITING) & ~left] = BLOCKED
         # plain lists: numbers of numpy, one at a time, are slow at a hundred thousand cases
         there, waits = stored.tolist(), left.tolist()
         for run, entry in enumerate(plan.runs):
@@ -86,25 +89,25 @@ class Schedule:
                     if parent >= 0:
                         self._children.setdefault(parent, []).append(run)
                 if waits[run] and all(p < 0 or there[p] for p in entry.parents):
-                    self.state[run] = State.READY
+                    self.state[run] = READY
                     self._ready.append((entry.case, run))
         heapq.heapify(self._ready)
 
     @property
     def pending(self) -> int:
         """Number of runs that are still to be done."""
-        return int(np.count_nonzero(self.state <= State.RUNNING))
+        return int(np.count_nonzero(self.state <= RUNNING))
 
     def wanted(self) -> int:
         """Number of workers that would have something to do, each for some seconds."""
-        at_hand = np.isin(self.state, (State.READY, State.RUNNING))
+        at_hand = np.isin(self.state, (READY, RUNNING))
         left = self.seconds_left(1)
         enough = np.inf if left is None else np.ceil(left / WORTH_SECONDS)
         return int(min(np.count_nonzero(at_hand), enough))
 
     def is_done(self, run: int) -> bool:
         """Whether a run has its product."""
-        return bool(self.state[run] == State.DONE)
+        return bool(self.state[run] == DONE)
 
     def next_lot(self) -> tuple[int, ...]:
         """Hand out the next runs, for one worker to do in turn; none where none is ready.
@@ -115,7 +118,7 @@ class Schedule:
         chain: list[tuple[int, int]] = []  # children that this lot itself makes ready
         seconds: float | None = 0.0
         while len(runs) < LOT_LENGTH and seconds is not None and seconds < self.lot_seconds:
-            heap, wanted = (chain, State.WAITING) if chain else (self._ready, State.READY)
+            heap, wanted = (chain, WAITING) if chain else (self._ready, READY)
             if not heap:
                 break
             place, run = heapq.heappop(heap)
@@ -128,11 +131,11 @@ class Schedule:
                     continue  # it becomes ready in its own right once this one is done
                 heapq.heappush(heap, (place, run))
                 break
-            self.state[run] = State.RUNNING
+            self.state[run] = RUNNING
             runs.append(run)
             seconds = None if expected is None else seconds + expected
             for child in self._children.get(run, ()):
-                if self.state[child] == State.WAITING and self._parents_in(child, runs):
+                if self.state[child] == WAITING and self._parents_in(child, runs):
                     heapq.heappush(chain, (self.plan.runs[child].case, child))
         return tuple(runs)
 
@@ -141,26 +144,26 @@ class Schedule:
 
         What it took elsewhere than `here` counts for this run of the study alone.
         """
-        self.state[run] = State.DONE
+        self.state[run] = DONE
         for costs in (self._measured, *([self.costs] if here else [])):
             costs.add(self.plan.runs[run].kind, *spent)
         self._settle(self._children.get(run, ()))
 
     def failed(self, run: int) -> None:
         """A run has failed, and its descendants cannot run now."""
-        self.state[run] = State.FAILED
+        self.state[run] = FAILED
         stack = [run]
         while stack:
             for child in self._children.get(stack.pop(), ()):
-                if self.state[child] < State.DONE:
-                    self.state[child] = State.BLOCKED
+                if self.state[child] < DONE:
+                    self.state[child] = BLOCKED
                     stack.append(child)
 
     def again(self, runs: Iterable[int]) -> None:
         """Runs that were handed out and came to nothing through no fault of theirs."""
         for run in runs:
-            if self.state[run] in (State.RUNNING, State.READY):
-                self.state[run] = State.WAITING
+            if self.state[run] in (RUNNING, READY):
+                self.state[run] = WAITING
         self._settle(runs)
 
     def lost(self, run: int) -> None:
@@ -168,26 +171,26 @@ class Schedule:
 
         Runs that wait for it wait again.
         """
-        if self.state[run] == State.DONE:
-            self.state[run] = State.WAITING
+        if self.state[run] == DONE:
+            self.state[run] = WAITING
             for parent in self.plan.runs[run].parents:
                 children = self._children.setdefault(parent, [])
                 if run not in children:
                     children.append(run)
             for child in self._children.get(run, ()):
-                if self.state[child] == State.READY:
-                    self.state[child] = State.WAITING
+                if self.state[child] == READY:
+                    self.state[child] = WAITING
         self._settle([run])
 
     def suspect(self, runs: Iterable[int]) -> None:
         """Try runs again of which one may have ended its worker, each by itself."""
-        runs = [run for run in runs if self.state[run] == State.RUNNING]
+        runs = [run for run in runs if self.state[run] == RUNNING]
         self.suspects.update(runs)
         self.again(runs)
 
     def seconds_left(self, workers: int) -> float | None:
         """Expected seconds until all is done, None where a stage was never measured."""
-        left = np.bincount(self._kind[self.state <= State.RUNNING])
+        left = np.bincount(self._kind[self.state <= RUNNING])
         total = 0.0
         for count, kind in zip(left, self._kinds, strict=False):
             if count:
@@ -210,23 +213,21 @@ class Schedule:
 
     def tally(self) -> Tally:
         """How many cases are done, failed and left."""
-        states = np.where(self.plan.cases >= 0, self.state[self.plan.cases], State.DONE)
-        bad: np.ndarray = np.any(states >= State.FAILED, axis=1)
+        states = np.where(self.plan.cases >= 0, self.state[self.plan.cases], DONE)
+        bad: np.ndarray = np.any(states >= FAILED, axis=1)
         bad[list(self.plan.impossible)] = True
-        left: np.ndarray = np.any(states <= State.RUNNING, axis=1) & ~bad
+        left: np.ndarray = np.any(states <= RUNNING, axis=1) & ~bad
         failed, waiting = int(np.count_nonzero(bad)), int(np.count_nonzero(left))
         return Tally(self.plan.count - failed - waiting, failed, waiting)
 
     def _settle(self, runs: Iterable[int]) -> None:
         """Make ready what has all its parents."""
         for run in runs:
-            if self.state[run] == State.WAITING and self._parents_in(run, ()):
-                self.state[run] = State.READY
+            if self.state[run] == WAITING and self._parents_in(run, ()):
+                self.state[run] = READY
                 place = -1 if run in self.suspects else self.plan.runs[run].case
                 heapq.heappush(self._ready, (place, run))
 
     def _parents_in(self, run: int, lot: Iterable[int]) -> bool:
         """Whether every parent of a run is stored or computed in the same lot."""
-        return all(
-            p < 0 or self.state[p] == State.DONE or p in lot for p in self.plan.runs[run].parents
-        )
+        return all(p < 0 or self.state[p] == DONE or p in lot for p in self.plan.runs[run].parents)

@@ -238,20 +238,19 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
     end, cpu_end = _working_time()
     meta |= {"seconds": end - begin, "cpu_seconds": cpu_end - cpu, "machine": machine()}
     meta |= {"host": socket.gethostname(), "worker": os.getpid(), "versions": versions()}
-    spent = Outcome(task.run, status, message, end - begin, machine=machine())
-    # what compiling took, once on this machine, is no measure of the next run
-    spent = replace(spent, memory=peak_memory(), compiled=compilation.seconds > 0.0)
     if status is Status.OUT_OF_MEMORY:
         room = available() + resident_memory()
         # what bounded it: its limit, or less, all that there was
         short = limit is None or room < SHORT * limit
         meta |= {"limits": {"memory": limit}} | ({"room": room} if short else {})
-    if status is not Status.DONE:
+    # what compiling took, once on this machine, is no measure of the next run
+    size, memory, compiled = 0, peak_memory(), compilation.seconds > 0.0
+    if status is Status.DONE:
+        size = made.put(task.id, arrays, meta)
+        _memory[task.id] = arrays
+    else:
         made.put(task.id, {}, {**meta, "status": int(status), "message": message})
-        return spent
-    size = made.put(task.id, arrays, meta)
-    _memory[task.id] = arrays
-    return replace(spent, stored=size)
+    return Outcome(task.run, status, message, end - begin, size, memory, compiled, machine())
 
 
 def _ended(

@@ -43,7 +43,8 @@ def write_all_durably(files: Mapping[Path, bytes | memoryview]) -> None:
             opened: list[IO[Any]] = []
             folders: set[Path] = set()
             for path, content in files.items():
-                folders.update(_made(path.parent))
+                if path.parent not in folders:
+                    folders.update(_made(path.parent))
                 # unbuffered: a full disk is told here, not when the file is closed
                 file = stack.enter_context(asides[path].open("wb", buffering=0))
                 with naming(path):

@@ -70,7 +70,7 @@ def pack(arrays: Mapping[str, np.ndarray], meta: Mapping[str, Any]) -> bytes:
     """
     entries, chunks, offset = [], [], 0
     for name, array in arrays.items():
-        plain = canonical(array)
+        plain = _plain(array)
         padding = -offset % _ALIGNMENT
         offset += padding
         entries.append([name, plain.dtype.str, list(plain.shape), offset])
@@ -121,10 +121,15 @@ def _of_its_form() -> Iterator[None]:
 
 def canonical(array: Any) -> np.ndarray:
     """Return the array as the store gives it back: own memory, C order, little-endian."""
-    plain = np.asarray(array)
-    if plain.dtype.kind not in _KINDS:
-        raise TypeError(f"an array of {plain.dtype} cannot be stored")
-    return np.array(plain, dtype=plain.dtype.newbyteorder("<"), order="C", copy=True)
+    return np.array(_plain(array), copy=True)
+
+
+def _plain(array: Any) -> np.ndarray:
+    """The array in C order, little-endian; itself where it is so already."""
+    given = np.asarray(array)
+    if given.dtype.kind not in _KINDS:
+        raise TypeError(f"an array of {given.dtype} cannot be stored")
+    return np.asarray(given, dtype=given.dtype.newbyteorder("<"), order="C")
 
 
 @dataclass(frozen=True)
@@ -163,7 +168,7 @@ class Store:
         """Where a product (or, for kind "failed", the record of a failure) lies."""
         if len(identity) != 64 or not _HEX.issuperset(identity):
             raise ValueError(f"{identity!r} is no identity of a product")
-        return self.root / identity[:2] / f"{identity}.{kind}"
+        return self.root / f"{identity[:2]}/{identity}.{kind}"
 
     def has(self, identity: str) -> bool:
         """Whether the product is there (whole or not: reading it tells)."""
