@@ -12,7 +12,7 @@ from demflow.sweep.execution.progress import Progress
 
 WAITING_SECONDS = 2.0  # s without any worker before that is told
 BAR = 20  # characters of the bar
-STILL_SECONDS = 30.0  # s without progress before that is told
+STILL_SECONDS = 25.0  # s without progress before that is told: within half a minute
 
 
 class ProgressLine:

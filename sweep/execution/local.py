@@ -13,14 +13,15 @@ from contextlib import suppress
 from typing import Any
 
 import dask
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Nanny
 from distributed.core import Status as ServerStatus
 
 from demflow.sweep.errors import RunError
 from demflow.sweep.execution.certificate import make_security
 from demflow.sweep.execution.pool import Pool
 
-START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, should it be killed meanwhile
+START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, where they end by themselves
+KILLED_SECONDS = 120.0  # and where something kills them as they start
 
 # One thread per worker, whatever library it comes from; set before the workers start.
 THREADS = "NUMBA_NUM", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"
@@ -76,7 +77,7 @@ class LocalPool(Pool):
         self._wanted = 1
         self._started = False  # whether a worker ever stood
         self._begin = time.monotonic()
-        self._failures = 0  # to start one, before that
+        self._failures = 0  # to start one, before that, which nobody killed
         self.cluster: Any = None
 
     async def __aenter__(self) -> LocalPool:
@@ -87,7 +88,7 @@ class LocalPool(Pool):
             self.cluster = await LocalCluster(
                 n_workers=0,
                 threads_per_worker=1,
-                processes=True,
+                worker_class=_Nanny,
                 host="127.0.0.1",
                 dashboard_address="127.0.0.1:0",
                 memory_limit=math.ceil(self.memory or 0),
@@ -119,12 +120,18 @@ class LocalPool(Pool):
         fallen = [name for name, n in list(self.cluster.workers.items()) if n.status in over]
         if not fallen:
             return
-        self._failures += 1
-        tried = time.monotonic() - self._begin > START_SECONDS
-        if tried and not self._started and self._failures >= START_ATTEMPTS:
+        code = min(self.cluster.workers[name].exit_code for name in fallen)
+        self._failures += code >= 0
+        tried = time.monotonic() - self._begin
+        if tried > START_SECONDS and not self._started and self._failures >= START_ATTEMPTS:
             raise RunError(
                 "the worker processes did not start; a script has to call sweep.run below "
                 "`if __name__ == '__main__':`"
+            )
+        if tried > KILLED_SECONDS and not self._started and code < 0:
+            raise RunError(
+                f"the worker processes were killed as they started, by signal {-code}, again and "
+                f"again for {KILLED_SECONDS:g} s; most often memory ran out"
             )
         for name in fallen:
             self.cluster.worker_spec.pop(name, None)
@@ -171,6 +178,16 @@ class LocalPool(Pool):
 
     def _nannies(self) -> list[Any]:
         return list(self.cluster.workers.values()) if self.cluster else []
+
+
+class _Nanny(Nanny):
+    """One that remembers how its worker process ended."""
+
+    exit_code = 0  # below zero: minus the signal
+
+    def _on_worker_exit_sync(self, exitcode: int) -> None:
+        self.exit_code = exitcode
+        super()._on_worker_exit_sync(exitcode)  # type: ignore[no-untyped-call]
 
 
 def _kill(nanny: Any) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import time
 
 import psutil
 import pytest
 from distributed.core import rpc
 from distributed.security import Security
 
+from demflow.sweep.errors import RunError
+from demflow.sweep.execution import local
 from demflow.sweep.execution.local import LocalPool
 from demflow.sweep.execution.pool import silent_loops
 
@@ -28,24 +29,33 @@ def starting(known: set[int]) -> list[psutil.Process]:
     return found
 
 
-def test_workers_killed_while_they_start_are_replaced_each_time():
+async def storm(kills: int) -> int:
+    """Kill so many workers as they start; how many stand in the end."""
     killed: set[int] = set()
-
-    async def storm() -> int:
-        async with LocalPool(2) as pool:
-            pool.ask_for(2)
-            patience = time.monotonic() + 60.0
-            while len(await pool.look()) < 2 and time.monotonic() < patience:
-                if len(killed) < 3:
+    async with LocalPool(2) as pool:
+        pool.ask_for(2)
+        async with asyncio.timeout(60.0):
+            while len(await pool.look()) < 2 or len(killed) < kills:
+                if len(killed) < kills:
                     for process in starting(killed)[:1]:
                         process.kill()
                         killed.add(process.pid)
                 await asyncio.sleep(0.02)
-            return len(await pool.look())
+        return len(await pool.look())
 
+
+def test_workers_killed_while_they_start_are_replaced_each_time(monkeypatch):
+    """However often: only of those that end by themselves a few say that none can be had."""
+    monkeypatch.setattr(local, "START_ATTEMPTS", 1)
+    monkeypatch.setattr(local, "START_SECONDS", 0.0)
     with silent_loops():
-        assert asyncio.run(storm()) == 2
-    assert len(killed) == 3
+        assert asyncio.run(storm(3)) == 2
+
+
+def test_workers_that_something_kills_as_they_start_end_the_run_with_a_word(monkeypatch):
+    monkeypatch.setattr(local, "KILLED_SECONDS", 0.0)
+    with silent_loops(), pytest.raises(RunError, match="were killed as they started, by signal 9"):
+        asyncio.run(storm(3))
 
 
 def test_no_more_workers_stand_than_have_something_to_do():
