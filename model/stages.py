@@ -488,7 +488,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=21,
+        version=22,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows and not s.coupled,
@@ -500,7 +500,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=16,
+        version=17,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

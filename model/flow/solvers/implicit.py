@@ -30,7 +30,7 @@ from demflow.model.flow.equation.problem import (
 )
 from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise, solve
-from demflow.model.flow.solvers.krylov import responses
+from demflow.model.flow.solvers.krylov import rough
 from demflow.model.flow.solvers.share import shared_out
 from demflow.model.outcome import ModelError
 
@@ -152,7 +152,7 @@ def implicit(problem: Problem) -> Answer:
     Raises `ModelError` where `MOST_STEPS` steps do not reach the last lag, or where no step is
     short enough for the tolerance.
     """
-    problem = shared_out(problem, responses)
+    problem = shared_out(problem, rough)
     system = problem.system
     wells = algebraic(system)
     ladder = Ladder(system)

@@ -76,51 +76,83 @@ class Tuning(NamedTuple):
 TUNED = Tuning()
 
 
+# Bytes of spaces that are kept between the rough responses and the answer; beyond, they grow anew.
+KEPT_BYTES = 256_000_000
+
+
 def krylov(problem: Problem) -> Answer:
     """Step responses to the tolerance, source by source, the factors shared between them.
 
-    Raises `ModelError` as `responses` does.
-    """
-    return responses(shared_out(problem, responses))
-
-
-def responses(problem: Problem) -> Answer:
-    """The same, every source held to what the problem says of its share.
-
-    Raises `ModelError` where `MOST_VECTORS` do not bring the estimated error below the
+    Raises `ModelError` where `MOST_VECTORS` do not bring the estimated error of a source below the
     tolerance.
     """
-    system = problem.system
-    wells = algebraic(system)
-    answer = empty_answer(problem)
-    drained = reached(system.n, system.edge_i, system.edge_j, system.fixed_node)
-    factors = Factors(system, drained)
-    error = residual = 0.0
-    work = 0
-    for k in problem.active_sources:
+    grown = Grown(problem)
+    return grown.answer(shared_out(problem, grown.rough))
+
+
+def rough(problem: Problem) -> Answer:
+    """Outputs and maps alone, by spaces as they grow. Raises `ModelError` as `krylov` does."""
+    return Grown(problem).rough(problem)
+
+
+class Grown:
+    """The spaces of a problem's sources: what was grown for a rough answer serves the next."""
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem, self.system = problem, problem.system
+        self.wells = algebraic(problem.system)
+        ends = (self.system.edge_i, self.system.edge_j)
+        self.drained = reached(self.system.n, *ends, self.system.fixed_node)
+        self.factors = Factors(self.system, self.drained)
+        self._kept: dict[int, Growth] = {}
+
+    def rough(self, problem: Problem) -> Answer:
+        """Outputs and maps to the tolerance of a problem that differs in no more than that."""
+        answer = empty_answer(problem)
+        bytes_kept = 0
+        for k in problem.active_sources:
+            growth = self._growth(k)
+            growth.to_tolerance(problem)
+            growth.fill(answer)
+            bytes_kept += growth.space.bytes
+            if bytes_kept <= KEPT_BYTES:
+                self._kept[k] = growth
+        return answer
+
+    def answer(self, problem: Problem) -> Answer:
+        """All to the tolerance, every source held to what the problem says of its share."""
+        system, answer = self.system, empty_answer(problem)
+        error = residual = 0.0
+        work = 0
+        for k in problem.active_sources:
+            growth = self._kept.pop(k, None) or self._growth(k)
+            error = max(error, growth.to_tolerance(problem))
+            basis = growth.space.close(TUNED.last_noise * problem.tolerance)
+            last, repaired = _record(problem, k, basis, growth.direct, growth.own_flow, answer)
+            if growth.own_flow is None:
+                error = max(error, flow_noise(problem, k, answer.output[k]))
+            shift, factor = self.factors.near(1.0 / (problem.lag[-1] or 1.0))
+            rate = basis.vectors @ basis.modes.rate(problem.lag[-1:])[0]
+            misfit = transient_misfit(system, factor, shift, k, last, rate)
+            residual = float(np.max([residual, misfit, repaired]))
+            work += growth.space.solves
+        return answer._replace(time_error=error, residual=residual, work=work + self.factors.made)
+
+    def _growth(self, k: int) -> Growth:
+        """The space of a source as it begins."""
+        problem, system = self.problem, self.system
         source = system.source(k)
-        space = Subspace(system, wells, problem.records, source, drained)
+        space = Subspace(system, self.wells, problem.records, source, self.drained)
         fast = space.first_decay()
-        rest = None
+        own = None
         if k < system.fixed_count and _drowned(problem, fast):
-            rest = steady_flow(system, factors.at_rest(), k)
-            space = Subspace(system, wells, problem.records, source, drained, rest.pressure)
+            rest = steady_flow(system, self.factors.at_rest(), k)
+            start = rest.pressure
+            space = Subspace(system, self.wells, problem.records, source, self.drained, start)
+            own = float(rest.inflow(system, k)[k])
         direct = np.zeros(system.n)
-        direct[system.pores :] = wells.direct(source)
-        own = None if rest is None else float(rest.inflow(system, k)[k])
-        growth = Growth(problem, k, space, direct, own)
-        if space.size:
-            error = max(error, growth.to_tolerance(Poles(factors, space, problem.lag, fast)))
-        basis = space.close(TUNED.last_noise * problem.tolerance)
-        last, repaired = _record(problem, k, basis, direct, own, answer)
-        if own is None:
-            error = max(error, flow_noise(problem, k, answer.output[k]))
-        shift, factor = factors.near(1.0 / (problem.lag[-1] or 1.0))
-        rate = basis.vectors @ basis.modes.rate(problem.lag[-1:])[0]
-        misfit = transient_misfit(system, factor, shift, k, last, rate)
-        residual = float(np.max([residual, misfit, repaired]))
-        work += space.solves
-    return answer._replace(time_error=error, residual=residual, work=work + factors.made)
+        direct[system.pores :] = self.wells.direct(source)
+        return Growth(problem, k, space, Poles(self.factors, space, problem.lag, fast), direct, own)
 
 
 def _drowned(problem: Problem, fast: float) -> bool:
@@ -203,49 +235,64 @@ class Growth:
         problem: Problem,
         source: int,
         space: Subspace,
+        poles: Poles,
         direct: np.ndarray,
         own_flow: float | None,
     ) -> None:
         """Of a space that starts from the source, or at rest with its flow there, m³/s."""
-        self.problem, self.source, self.space = problem, source, space
-        self.own_flow = own_flow
-        self.direct = problem.records.rows @ direct + problem.records.direct[source]
+        self.problem, self.source, self.space, self.poles = problem, source, space, poles
+        self.direct, self.own_flow = direct, own_flow
+        self.recorded = problem.records.rows @ direct + problem.records.direct[source]
         self.lag = problem.lag[problem.lag > 0]
         some = np.unique(np.linspace(0, len(self.lag) - 1, TUNED.map_checks).astype(int))
         self.map_lag = self.lag[some] if len(problem.domain) else self.lag[:0]
         self.far = problem.far(source)
         self._coefficients: dict[int, np.ndarray] = {}
-        self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._outputs: dict[int, np.ndarray] = {}
+        self._judge_by(problem)
+
+    def _judge_by(self, problem: Problem) -> None:
+        """Compare with the sizes that a problem names from now on."""
+        self.problem = problem
+        self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._scales: dict[int, np.ndarray] = {}
         self._changes: dict[tuple[str, int, int], float] = {}
 
-    def to_tolerance(self, poles: Poles) -> float:
-        """Grow the space to the tolerance; the estimated error. Raises `ModelError`.
+    def to_tolerance(self, problem: Problem) -> float:
+        """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
 
-        Where rates lie so far apart that round-off hides the tolerance, the space grows until
-        nothing is gained any more; the error is then that which the last vectors show.
+        What was grown before, for sizes that were not known, is judged anew first. Where rates
+        lie so far apart that round-off hides the tolerance, the space grows until nothing is
+        gained any more; the error is then that which the last vectors show.
         """
-        space, tolerance = self.space, self.problem.tolerance
+        space, tolerance = self.space, problem.tolerance
+        if space.size == 0:
+            return 0.0  # nothing that the source could move
+        self._judge_by(problem)
+        standing = list(range(max(TUNED.shortest, space.size - TUNED.late), space.size + 1))
         wait, before = 0, 1.0  # the error of no vectors: the first estimate may stand on a stair
         seen: dict[int, float] = {}
-        while space.size < MOST_VECTORS:
-            if not space.extend(*poles.next()):
-                return 0.0  # the space holds all that the source can reach
-            wait -= 1
-            if space.size < TUNED.shortest or wait > 0:
-                continue
-            found, rate, cheap = self._estimate()
+        while standing or space.size < MOST_VECTORS:
+            if standing:
+                size = standing.pop(0)
+            else:
+                if not space.extend(*self.poles.next()):
+                    return 0.0  # the space holds all that the source can reach
+                size = space.size
+                wait -= 1
+                if size < TUNED.shortest or wait > 0:
+                    continue
+            found, rate, cheap = self._estimate(size)
             if not math.isfinite(found):
                 raise ModelError(
-                    f"krylov lost its numbers at {space.size} vectors; look for apertures that lie "
-                    "too far apart, or use solver.method implicit"
+                    f"krylov lost its numbers at {size} vectors; look for apertures that lie too "
+                    "far apart, or use solver.method implicit"
                 )
             error, before = max(found, TUNED.fall * before), found
             if error <= tolerance:
                 return error
-            seen[space.size] = error
-            late = [e for size, e in seen.items() if size > space.size - TUNED.idle]
+            seen[size] = error
+            late = [e for when, e in seen.items() if when > size - TUNED.idle]
             early = list(seen.values())[: -len(late)]
             gained = not early or min(late) < 0.5 * min(early)
             if not gained and max(late) <= min(
@@ -253,15 +300,24 @@ class Growth:
             ):
                 return max(late)
             further = math.log(tolerance / error) / math.log(rate)
-            cheap |= self.problem.system.pores <= TUNED.few_pores
+            cheap |= problem.system.pores <= TUNED.few_pores
             wait = 1 if cheap else min(TUNED.most_wait, math.ceil(TUNED.stride * further))
         raise ModelError(
             f"krylov reached a relative error of {error:.2g} in {MOST_VECTORS} vectors, not "
             f"{tolerance:g}; raise solver.tolerance, or record fewer decades of time"
         )
 
-    def _estimate(self) -> tuple[float, float, bool]:
-        """Error of the space, the factor by which each vector reduces it, and whether it is cheap.
+    def fill(self, answer: Answer) -> None:
+        """Fill the source's outputs and maps after the start, by the space as it is (in place)."""
+        problem, k, later = self.problem, self.source, self.problem.lag > 0.0
+        size = self.space.size
+        answer.output[k, later] = self._seen(size) if size else self.recorded
+        if len(problem.domain) and size:
+            fields = self.space.lifted(self._known(size)) + self.direct
+            answer.pressure[k, later] = fill_map(problem, k, fields)
+
+    def _estimate(self, size: int) -> tuple[float, float, bool]:
+        """Error of a size, the factor by which each vector reduces it, and whether that is cheap.
 
         With d the largest change over the last w vectors and r the slowest of the latest
         reductions of such changes, the error is d · r. The largest estimate of all w counts.
@@ -270,25 +326,24 @@ class Growth:
         Maps are looked at once all that has converged.
         """
         cheap = self.space.noise() <= TUNED.noise_share * self.problem.tolerance
-        if not cheap:
+        if not cheap and not self.space.measured:
             self.space.measure()
             for known in (self._outputs, self._coefficients, self._scales, self._changes):
                 known.clear()
-        error, rate = self._extrapolate(self._output_change)
+        error, rate = self._extrapolate(self._output_change, size)
         if self.far:
-            error, rate = max((error, rate), self._extrapolate(self._field_change))
+            error, rate = max((error, rate), self._extrapolate(self._field_change, size))
         if error <= self.problem.tolerance and len(self.map_lag):
             cheap = False
-            error, rate = max((error, rate), self._extrapolate(self._map_change))
+            error, rate = max((error, rate), self._extrapolate(self._map_change, size))
         return error, rate, cheap
 
-    def _extrapolate(self, change: Callable[[int, int], float]) -> tuple[float, float]:
+    def _extrapolate(self, change: Callable[[int, int], float], size: int) -> tuple[float, float]:
         """Largest estimate and slowest rate, from the change between two sizes.
 
         The narrowest and one that sees both poles go without a change before; that is 1 then, the
         error of no vectors. Wider ones would make loose tolerances a hundred times too tight.
         """
-        size = self.space.size
         worst, slowest = 0.0, 0.0
         for width in TUNED.widths:
             if size <= (width if width <= TUNED.poles else 2 * width):
@@ -319,7 +374,7 @@ class Growth:
     def _seen(self, size: int) -> np.ndarray:
         """Recorded outputs (l, o) of the space's first vectors."""
         if size not in self._outputs:
-            self._outputs[size] = self.space.outputs(self._known(size)) + self.direct
+            self._outputs[size] = self.space.outputs(self._known(size)) + self.recorded
             if self.own_flow is not None:
                 own = self.problem.records.well_rows + self.source
                 flow = self.space.modes(size).own_flow(self.lag)

@@ -140,6 +140,16 @@ class Subspace:
         """Vectors of the Krylov sequence, the constants not counted."""
         return self.count - self.start
 
+    @property
+    def bytes(self) -> int:
+        """Memory of the basis."""
+        return self._space.nbytes
+
+    @property
+    def measured(self) -> bool:
+        """Whether the projection is that of the edge differences."""
+        return len(self._triangle) == self.count
+
     def first_decay(self) -> float:
         """Rate at which the source's own pores respond, 1/s; 0 where there are none."""
         load = self.source / self.root
@@ -183,7 +193,7 @@ class Subspace:
         """Relative round-off of the slowest mode; measured, the root of it is what is squared."""
         if self.size == 0:
             return 0.0
-        if len(self._triangle) == self.count:
+        if self.measured:
             size = np.linalg.svd(self._triangle, compute_uv=False)
             fastest, slowest = size[0], size[self.size - 1]
         else:
@@ -209,6 +219,10 @@ class Subspace:
         k = coefficients.shape[1]
         found: np.ndarray = (coefficients @ self._space[: self.system.pores, :k].T) / self.root
         return found
+
+    def lifted(self, coefficients: np.ndarray) -> np.ndarray:
+        """Pressure of all unknowns (l, n) of coefficients (l, k), without the source's own."""
+        return self.wells.lift(self.fields(coefficients).T).T
 
     def measure(self) -> None:
         """Project anew, from the edge differences of the basis."""
