@@ -227,6 +227,10 @@ class Poles:
         self._known.append(self.factors.near(pole))
 
 
+# Largest change of something between a size of a space and each of some smaller ones
+Change = Callable[[int, list[int]], list[float]]
+
+
 class Growth:
     """The growth of one source's space until the recorded outputs have converged."""
 
@@ -256,7 +260,7 @@ class Growth:
         self.problem = problem
         self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._scales: dict[int, np.ndarray] = {}
-        self._changes: dict[tuple[str, int, int], float] = {}
+        self._changes: dict[tuple[str, int], dict[int, float]] = {}
 
     def to_tolerance(self, problem: Problem) -> float:
         """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
@@ -338,19 +342,18 @@ class Growth:
             error, rate = max((error, rate), self._extrapolate(self._map_change, size))
         return error, rate, cheap
 
-    def _extrapolate(self, change: Callable[[int, int], float], size: int) -> tuple[float, float]:
+    def _extrapolate(self, change: Change, size: int) -> tuple[float, float]:
         """Largest estimate and slowest rate, from the change between two sizes.
 
         The narrowest and one that sees both poles go without a change before; that is 1 then, the
         error of no vectors. Wider ones would make loose tolerances a hundred times too tight.
         """
         worst, slowest = 0.0, 0.0
-        for width in TUNED.widths:
-            if size <= (width if width <= TUNED.poles else 2 * width):
-                continue
-            now = self._once(change, size, size - width)
+        widths = [w for w in TUNED.widths if size > (w if w <= TUNED.poles else 2 * w)]
+        changes = self._since(change, size, [size - width for width in widths])
+        for width, now in zip(widths, changes, strict=True):
             half = size - width
-            before = self._once(change, half, half - width) if size > 2 * width else 1.0
+            before = self._since(change, half, [half - width])[0] if size > 2 * width else 1.0
             seen = self._reductions.setdefault((change.__name__, width), {})
             seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
             reduction = max(r for when, r in seen.items() if when > size - TUNED.late)
@@ -358,12 +361,12 @@ class Growth:
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
 
-    def _once(self, change: Callable[[int, int], float], size: int, before: int) -> float:
-        """A change between two sizes, which several estimates ask for."""
-        key = (change.__name__, size, before)
-        if key not in self._changes:
-            self._changes[key] = change(size, before)
-        return self._changes[key]
+    def _since(self, change: Change, size: int, before: list[int]) -> list[float]:
+        """Changes since some smaller sizes, which several estimates ask for."""
+        known = self._changes.setdefault((change.__name__, size), {})
+        if unknown := [b for b in before if b not in known]:
+            known.update(zip(unknown, change(size, unknown), strict=True))
+        return [known[b] for b in before]
 
     def _known(self, size: int) -> np.ndarray:
         """Coefficients (l, k) of the pressure in the space's first vectors."""
@@ -381,39 +384,46 @@ class Growth:
                 self._outputs[size][:, own] = self.own_flow + flow
         return self._outputs[size]
 
-    def _output_change(self, size: int, before: int) -> float:
-        """Largest relative change of an output between two sizes."""
+    def _output_change(self, size: int, before: list[int]) -> list[float]:
+        """Largest relative change of an output since each of some sizes."""
         now = self._seen(size)
         if size not in self._scales:
             scale = self.problem.scale(self.source, now)
             self._scales[size] = np.where(scale > 0.0, scale, np.inf)
-        change = np.abs(now - self._seen(before))
+        change = np.abs(np.array([self._seen(b) for b in before]) - now)
         change /= self._scales[size]
-        return float(change.max(initial=0.0))
+        return _floats(change.max(axis=(1, 2), initial=0.0))
 
-    def _field_change(self, size: int, before: int) -> float:
-        """Largest change of the field between two sizes over the largest field, in the C-norm."""
+    def _field_change(self, size: int, before: list[int]) -> list[float]:
+        """Largest change of the field since some sizes over the largest field, in the C-norm."""
         now = self._known(size)
-        change = now.copy()
-        change[:, : now.shape[1] - (size - before)] -= self._known(before)
+        change = np.empty((len(before), *now.shape))
+        change[:] = now
+        for each, b in zip(change, before, strict=True):
+            each[:, : now.shape[1] - (size - b)] -= self._known(b)
+        moved = np.linalg.norm(change, axis=2).max(axis=1, initial=0.0)
         largest = np.linalg.norm(now, axis=1).max(initial=0.0)
-        moved = np.linalg.norm(change, axis=1).max(initial=0.0)
-        return float(moved / largest) if largest > 0.0 else 0.0
+        return _floats(moved / largest) if largest > 0.0 else [0.0] * len(before)
 
-    def _map_change(self, size: int, before: int) -> float:
-        """Largest change of a map between two sizes over the largest pressure."""
+    def _map_change(self, size: int, before: list[int]) -> list[float]:
+        """Largest change of a map since each of some sizes over the largest pressure."""
         now = self.space.modes(size).pressure(self.map_lag)
-        change = now.copy()
-        change[:, : now.shape[1] - (size - before)] -= self.space.modes(before).pressure(
-            self.map_lag
-        )
-        share = self.problem.share
-        if share is None:
+        if self.problem.share is None:
             largest = np.abs(self.space.fields(now)).max(initial=0.0)
         else:
-            largest = share.field[self.source]
-        moved = np.abs(self.space.fields(change)).max(initial=0.0)
-        return float(moved / largest) if largest > 0.0 else 0.0
+            largest = self.problem.share.field[self.source]
+        moved = np.zeros(len(before))
+        for k, b in enumerate(before):
+            change = now.copy()
+            known = self.space.modes(b).pressure(self.map_lag)
+            change[:, : now.shape[1] - (size - b)] -= known
+            moved[k] = np.abs(self.space.fields(change)).max(initial=0.0)
+        return _floats(moved / largest) if largest > 0.0 else [0.0] * len(before)
+
+
+def _floats(values: np.ndarray) -> list[float]:
+    found: list[float] = values.tolist()
+    return found
 
 
 def _record(
