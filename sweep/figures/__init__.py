@@ -376,12 +376,12 @@ def _compare(
     if kind == "linear":
         linear = compare_linear(dataset, scene_of, maps_of)
         tables = linear_tables(linear)
-        draw_linear(linear, path)
+        drawn = draw_linear(linear, path)
     else:
         mapped = all("pressure_map" in scene_of(index).observe for index in done(dataset))
         radial = compare_radial(dataset, scene_of, maps_of if mapped else None)
         tables = radial_tables(radial)
-        draw_radial(radial, path)
+        drawn = draw_radial(radial, path)
     for what, content in zip(("by_time", "by_case"), tables, strict=True):
         content.write_csv(path.with_name(f"compare_{kind}_{what}.csv"))
-    return path
+    return drawn

@@ -18,6 +18,7 @@ from demflow.sweep.figures.style import (
     VERMILION,
     beside,
     heading,
+    narrow,
     new_figure,
     pick,
     save,
@@ -53,7 +54,10 @@ def draw_linear(result: LinearComparison, path: Path) -> Path:
     rest.axhline(0.0, color=BLACK, linewidth=0.8)
     rest.set(xlabel="x_D = x / L", ylabel="difference\n(% of P_1 − P_2)", xlim=(0, 1))
     handles, labels = main.get_legend_handles_labels()
-    beside(figure, handles=handles, labels=labels, title="t_D")
+    if narrow():
+        figure.legend(handles, labels, title="t_D", loc="outside lower center", ncols=4)
+    else:
+        beside(figure, handles=handles, labels=labels, title="t_D")
     rms = 100 * result.rms
     heading(
         figure,
@@ -76,13 +80,16 @@ def draw_radial(result: RadialComparison, path: Path) -> Path:
     """P_D of the well in time, and along the radius, with Eq. 29 as lines."""
     cases = len(result.titles)
     profiles = result.R_D.size > 0
-    figure = new_figure(10.4 if profiles else 6.2, 5.8)
-    panels = figure.subplots(
-        2, 2 if profiles else 1, height_ratios=(3.0, 1.2), sharex="col", squeeze=False
-    )
-    _draw_well(result, panels[0, 0], panels[1, 0])
-    if profiles:
-        _draw_profiles(result, panels[0, 1], panels[1, 1])
+    parts = 2 if profiles else 1
+    below = parts if narrow() else 1  # each other, else side by side
+    figure = new_figure(10.4 if parts > below else 6.2, 5.8 * below)
+    ratios = (3.0, 1.2) * below
+    panels = figure.subplots(2 * below, parts // below, height_ratios=ratios, squeeze=False)
+    pairs = [panels[2 * k : 2 * k + 2, 0] if below > 1 else panels[:, k] for k in range(parts)]
+    for (main, rest), draw in zip(pairs, (_draw_well, _draw_profiles), strict=False):
+        rest.sharex(main)
+        draw(result, main, rest)
+        main.tick_params(labelbottom=False)
     mean = result.error.mean(axis=0)
     steady = result.steady_error.mean()
     heading(

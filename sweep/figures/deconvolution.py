@@ -10,7 +10,7 @@ from demflow.sweep.analysis.cases import case_title, done, with_unit
 from demflow.sweep.analysis.deconvolution import Deconvolved
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import BLUE, VERMILION, legend_text, shades
-from demflow.sweep.figures.wells import MOST_LINES
+from demflow.sweep.figures.wells import MOST_LINES, leave_out_the_least
 from demflow.sweep.study.units import parse_unit
 
 SURE = 1.96  # standard deviations of a 95 % band
@@ -94,4 +94,5 @@ def plot_deconvolution(
         xlabel=f"time at one rate ({time})",
         ylabel=f"Δp and dΔp/d ln t ({pressure}) at {with_unit(abs(rate), 'm3 s-1', 3)}",
     )
+    leave_out_the_least(panel)
     return panel

@@ -18,6 +18,7 @@ from demflow.sweep.figures.style import (
     GREY,
     VERMILION,
     legend_text,
+    narrow,
     new_figure,
     save,
     shorten,
@@ -50,8 +51,12 @@ def draw_events(dataset: xr.Dataset, path: Path) -> Path | None:
     ][:MOST_CASES]
     if not cases:
         return None
-    figure = new_figure(WIDTH + MAP + 0.8, HEIGHT * len(cases))
-    panels = figure.subplots(len(cases), 2, squeeze=False, width_ratios=(WIDTH, MAP))
+    if narrow():
+        figure = new_figure(WIDTH, HEIGHT * 2 * len(cases))
+        panels = figure.subplots(2 * len(cases), 1).reshape(-1, 2)
+    else:
+        figure = new_figure(WIDTH + MAP + 0.8, HEIGHT * len(cases))
+        panels = figure.subplots(len(cases), 2, squeeze=False, width_ratios=(WIDTH, MAP))
     for (in_time, path_of_it), index in zip(panels, cases, strict=True):
         own = events(dataset, index)
         factor, unit = 1.0, ""

@@ -20,6 +20,7 @@ from demflow.sweep.figures.style import (
     GREY,
     VERMILION,
     legend_text,
+    narrow,
     new_figure,
     save,
     sequence,
@@ -54,8 +55,14 @@ def draw_failure(
     shapes = [np.diff(tests[k]["box"].values.reshape(2, 2), axis=1).ravel() for k in chosen]
     ratios = [4.2, *([3.0] if cracked else [])]
     ratios += [max(HEIGHT * width / height, 1.4) for width, height in shapes]
-    figure = new_figure(sum(ratios) + 0.6, HEIGHT + 0.6)
-    curves, *others = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
+    if narrow() and cracked:  # curves over each other, specimens below them
+        figure = new_figure(4.2, 3 * HEIGHT)
+        grid = figure.add_gridspec(3, len(chosen))
+        places = [grid[0, :], grid[1, :], *(grid[2, k] for k in range(len(chosen)))]
+        curves, *others = (figure.add_subplot(place) for place in places)
+    else:
+        figure = new_figure(sum(ratios) + 0.6, HEIGHT + 0.6)
+        curves, *others = figure.subplots(1, len(ratios), width_ratios=ratios, squeeze=False)[0]
     factor, unit = display("Pa", np.concatenate([t["axial_stress"].values for t in tests]))
     for (name, _), test, colour in zip(cases, tests, sequence(len(tests)), strict=True):
         axial, lateral = 100.0 * test["axial_strain"].values, 100.0 * test["lateral_strain"].values

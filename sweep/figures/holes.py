@@ -23,6 +23,7 @@ from demflow.sweep.figures.style import (
     BLUE,
     LINE_STYLES,
     VERMILION,
+    heading,
     is_log_spaced,
     new_figure,
     plain_log_ticks,
@@ -66,14 +67,14 @@ def plot_forces(maps: xr.Dataset, panel: Axes, widest: float = 2.5) -> Axes:
     return panel
 
 
-def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Path:
+def draw_forces(maps: xr.Dataset, scene: Scene, title: str, path: Path) -> Path:
     """Normal forces at the contacts of a rock with holes, as lines between the grains' centres.
 
     Parameters
     ----------
     maps : maps of one case, with its grains and contacts.
     scene : its scene, for the region.
-    heading : what tells this case from others.
+    title : what tells this case from others.
     path : PNG to write.
     """
     most = max(float(np.percentile(np.abs(maps["normal_force"].values), 99.0)), 1e-300)
@@ -89,10 +90,10 @@ def draw_forces(maps: xr.Dataset, scene: Scene, heading: str, path: Path) -> Pat
         lines.set_clip_path(outline)
     panel.set(xlim=(xmin, xmax), ylim=(ymin, ymax), aspect="equal", xlabel="x (m)", ylabel="y (m)")
     panel.grid(False)
-    figure.suptitle(heading, fontsize=10.5)
+    heading(figure, title, fontsize=10.5)
     factor, unit = display("N m-1", most)
     caption = (
-        f"Contact forces around the excavation, {heading.replace(chr(10), ', ')}: the width of a "
+        f"Contact forces around the excavation, {title.replace(chr(10), ', ')}: the width of a "
         f"line is its normal force, up to {most * factor:.3g} {unit}; tension is red."
     )
     return save(figure, path, caption)

@@ -19,10 +19,12 @@ from demflow.sweep.figures.style import (
     BLUE,
     LINE_STYLES,
     legend_text,
+    narrow,
     new_figure,
     pick,
     save,
     shades,
+    shorten,
 )
 from demflow.sweep.figures.wells import WellOf
 from demflow.sweep.study.reservoir import Rock
@@ -121,15 +123,18 @@ def draw_horner(
         title=f"Well {well}: build-up",
     )
     panel.invert_xaxis()
-    panel.legend()
+    figure = panel.get_figure(root=True)
+    assert figure is not None
+    if narrow():
+        figure.legend(loc="outside lower left")
+    else:
+        panel.legend()
     caption = (
         f"Horner plot of well {well}, {drawn} cases. Radial flow in a reservoir whose boundary is "
         "not felt is a straight line of slope q μ / (4π k) per natural-log unit, which reaches "
         "the initial pressure at 1. Dashed: the line of what the derivative shows as radial, with "
         "what it gives."
     )
-    figure = panel.get_figure(root=True)
-    assert figure is not None
     return save(figure, path, caption)
 
 
@@ -178,7 +183,7 @@ def plot_straight_line(
     try:
         line = straight_line(times, pressure, changes, rock, plot=plot, between=between)
     except ValueError as error:
-        told = f"no straight line: {error}"
+        told = shorten(f"no straight line: {error}")
     else:
         told = f"k {with_unit(line.permeability, 'm2', 3)}"
         if np.isfinite(line.skin_factor):

@@ -360,6 +360,9 @@ def plot_map(maps: xr.Dataset, panel: Axes, time: float | None = None) -> Axes:
     draw_traces(panel, maps)
     draw_wells(panel, maps)
     panel.set(aspect="equal", xlabel="x (m)", ylabel="y (m)", title=title)
+    low, high = (end(np.concatenate(polygons(maps)), axis=0) for end in (np.min, np.max))
+    room = 0.03 * float(np.max(high - low))  # grains of a packing reach beyond the region
+    panel.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room))
     panel.grid(False)
     return panel
 

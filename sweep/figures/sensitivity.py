@@ -25,6 +25,7 @@ from demflow.sweep.figures.style import (
     VERMILION,
     legend_text,
     name_ticks,
+    narrow,
     new_figure,
     save,
 )
@@ -59,10 +60,12 @@ def draw_sensitivity(dataset: xr.Dataset, path: Path) -> Path | None:
         return None
     panels = panels[:MOST]
     names = list(panels[0][1]["parameter"].values)
-    figure = new_figure(2.0 + 2.4 * len(panels), 1.7 + 0.4 * len(names))
+    rows, columns = (len(panels), 1) if narrow() else (1, len(panels))
+    high = 0.6 + 0.4 * len(names)
+    figure = new_figure(2.0 + 2.4 * columns, 1.1 + high * rows)
     unknown = 0
     for panel, (title, found) in zip(
-        figure.subplots(1, len(panels), sharey=True, squeeze=False)[0], panels, strict=True
+        figure.subplots(rows, columns, sharey=True, squeeze=False).ravel(), panels, strict=True
     ):
         unknown = max(unknown, int(found["unknown"]))
         plot_sensitivity(found, panel).set_title(title)
@@ -98,7 +101,7 @@ def plot_sensitivity(found: xr.Dataset, panel: Axes) -> Axes:
         left, right = panel.get_xlim()
         panel.set_xlim(max(left, -0.5), min(right, 1.5))
     panel.set(xlabel=unit or "part of the variance", ylim=(len(names) - 0.5, -0.5))
-    name_ticks(panel.yaxis, rows, names)
+    name_ticks(panel.yaxis, rows, [axis_title(name) for name in names])
     return panel
 
 

@@ -20,6 +20,7 @@ from demflow.sweep.figures.style import (
     VERMILION,
     heading,
     legend_text,
+    narrow,
     new_figure,
     save,
 )
@@ -39,12 +40,14 @@ from the best to the worst. A time error below it buys no more truth."""
 def draw_speed(result: SpeedError, path: Path) -> Path:
     """One panel a scene, a panel for the model error by size, and how to read them."""
     shown = result.scenes
-    columns = -(-len(shown) // 2) if len(shown) > 1 else 1
-    rows = 2
-    figure = new_figure(3.55 * (columns + 1), 6.9)
-    panels = figure.subplots(rows, columns + 1, squeeze=False)
-    scenes = [panels[k // columns, k % columns] for k in range(len(shown))]
-    for panel in panels[:, :columns].ravel()[len(shown) :]:
+    rows, columns = (len(shown), 1) if narrow() else (2, -(-len(shown) // 2))
+    # the model's error and how to read it stand below the scenes, or right of them
+    below, right = (1, 0) if narrow() else (0, 1)
+    high = 1.9 if narrow() else 3.45
+    figure = new_figure(3.55 * (columns + right), high * (rows + below))
+    panels = figure.subplots(rows + below, columns + right, squeeze=False)
+    scenes = list(panels[:rows, :columns].ravel()[: len(shown)])
+    for panel in panels[:rows, :columns].ravel()[len(shown) :]:
         panel.axis("off")
     for panel, scene in zip(scenes, shown, strict=True):
         _draw_scene(panel, scene, result)
@@ -53,18 +56,25 @@ def draw_speed(result: SpeedError, path: Path) -> Path:
         panel.sharey(scenes[0])
     if any(np.isfinite(ladder.error * ladder.seconds).any() for ladder in result.ladders):
         scenes[0].set(xscale="log", yscale="log")
-    for panel in panels[:, 0]:
+    for panel in panels[:rows, 0]:
         panel.set_ylabel("time error, relative")
-    for panel in panels[-1, :columns]:
+    for panel in panels[rows - 1, :columns]:
         panel.set_xlabel("processor time (s)")
-    _draw_model(panels[0, -1], result)
-    _explain(panels[1, -1], result)
+    _draw_model(panels[-1, -1] if narrow() else panels[0, -1], result)
+    methods = dict.fromkeys(ladder.method for ladder in result.ladders)
+    handles = [
+        Line2D([], [], color=_COLOURS.get(m, GREY), marker=_MARKERS.get(m, "^"), label=m)
+        for m in methods
+    ]
+    if narrow():  # the words under a figure say how to read it
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+    else:
+        _explain(panels[1, -1], result, handles)
     heading(figure, f"Speed against error of every solver{_gain(result)}", fontsize=11.5)
-    methods = ", ".join(dict.fromkeys(ladder.method for ladder in result.ladders))
     caption = (
-        f"Error in time against processor time of {methods} on {_list(shown)}, median over "
-        f"packings, for {_list([f'{n:,}' for n in result.sizes])} grains. The error is that of "
-        "well pressures (where there is no well, of all pore pressures) against the solution of "
+        f"Error in time against processor time of {', '.join(methods)} on {_list(shown)}, median "
+        f"over packings, for {_list([f'{n:,}' for n in result.sizes])} grains. The error is that "
+        "of well pressures (where there is no well, of all pore pressures) against the solution of "
         "the same network to 1e-10; the time includes setting up the equations. Grey: model "
         "error against the continuum's formula, mean and range over packings."
     )
@@ -171,13 +181,8 @@ def _draw_model(panel: Axes, result: SpeedError) -> None:
     panel.legend(loc="upper right")
 
 
-def _explain(panel: Axes, result: SpeedError) -> None:
+def _explain(panel: Axes, result: SpeedError, handles: list[Line2D]) -> None:
     panel.axis("off")
-    methods = dict.fromkeys(ladder.method for ladder in result.ladders)
-    handles = [
-        Line2D([], [], color=_COLOURS.get(m, GREY), marker=_MARKERS.get(m, "^"), label=m)
-        for m in methods
-    ]
     panel.legend(handles=handles, loc="upper left", ncols=len(handles), columnspacing=1.0)
     *others, largest = (f"{n:,}" for n in sorted(result.sizes))
     sizes = f"{largest} grains; faint: {_list(others)}." if others else f"{largest} grains."

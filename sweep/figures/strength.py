@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from demflow.model.scene import MEASURED_BY_A_TEST
 from demflow.sweep.analysis.cases import axes, display
 from demflow.sweep.figures.permeability import place_axis, positions, tick_names
-from demflow.sweep.figures.style import BLUE, new_figure, save
+from demflow.sweep.figures.style import BLUE, narrow, new_figure, save
 
 
 def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path | None:
@@ -31,8 +31,13 @@ def draw_strength(dataset: xr.Dataset, path: Path, ensembles: Set[str]) -> Path 
     if not shown:
         return None
     along = [a for a in axes(dataset) if a not in ensembles and dataset.sizes[a] > 1]
-    figure = new_figure(3.0 * len(shown), 3.2)
-    for name, panel in zip(shown, figure.subplots(1, len(shown), squeeze=False)[0], strict=True):
+    columns = min(2, len(shown)) if narrow() else len(shown)
+    high = -(-len(shown) // columns)
+    figure = new_figure(3.0 * columns, 3.2 * high)
+    panels = figure.subplots(high, columns, squeeze=False).ravel()
+    for panel in panels[len(shown) :]:
+        panel.axis("off")
+    for name, panel in zip(shown, panels, strict=False):
         quantity = dataset[name]
         factor, unit = display(quantity.attrs.get("units", "1"), quantity.values)
         if along:

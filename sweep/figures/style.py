@@ -248,7 +248,8 @@ def few_ticks(panels: Sequence[Axes], columns: int) -> None:
             (panel.xaxis, k + columns >= len(panels)),
             (panel.yaxis, k % columns == 0),
         ):
-            axis.set_major_locator(MaxNLocator(5) if outer else NullLocator())
+            few = 3 if narrow() and columns > 1 and axis is panel.xaxis else 5
+            axis.set_major_locator(MaxNLocator(few) if outer else NullLocator())
 
 
 def pixels() -> int:

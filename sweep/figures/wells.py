@@ -292,7 +292,16 @@ def plot_period(
         xlabel=f"time since the rate change ({time})",
         ylabel=f"Δp and dΔp/d ln t ({pressure})",
     )
+    leave_out_the_least(panel)
     return panel
+
+
+def leave_out_the_least(panel: Axes) -> None:
+    """End the y axis some decades below the largest value: a derivative dies away without end."""
+    tops = [np.asarray(line.get_ydata(), dtype=float).max(initial=0.0) for line in panel.lines]
+    least = max(tops, default=0.0) / 10**_DECADES
+    if 0.0 < panel.get_ylim()[0] < least:
+        panel.set_ylim(bottom=least)
 
 
 def _caption(dataset: xr.Dataset, well: str, panels: list[_Panel], held: Index) -> str:

@@ -115,6 +115,15 @@ def test_comparisons_have_their_tables_beside_them(results, text, formula):
     assert [float(line.split(",")[0]) for line in lines[1 : len(times) + 1]] == list(times)
 
 
+@pytest.mark.parametrize("text", [LINEAR, RADIAL])
+@pytest.mark.parametrize("form", [Form("pdf", "column"), Form("svg")])
+def test_comparisons_are_drawn_for_a_journal(results, text, form):
+    study, dataset, folder = results(text)
+    drawn = write_figures(dataset, folder, study, form).paths
+    assert {path.suffix for path in drawn} == {f".{form.format}"}
+    assert drawn[0].stem == f"compare_{study.figures.compare}"
+
+
 def test_a_comparison_that_cannot_be_is_refused(results):
     study, dataset, folder = results(
         SMALL.replace("observe:", "figures: {compare: radial}\nobserve:")
