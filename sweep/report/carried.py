@@ -76,6 +76,7 @@ def carried(dataset: xr.Dataset, study: Study, mapped: dict[int, Index], maps_of
                 "values": [axis_value(dataset, name, k) for k in range(dataset.sizes[name])],
                 **_plain_numbers(dataset, name),
                 "ensemble": axis.seeds,
+                "unordered": axis.seeds or name == "sample",
             }
             for name, axis in zip(names, study.axes, strict=True)
         ],

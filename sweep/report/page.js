@@ -218,6 +218,8 @@
       $("read").textContent = "";
       return;
     }
+    own = Math.max(...curves.filter((one) => one.width > 2).flatMap((one) => one.y));
+    if (!(own > 0)) own = Infinity;
     const joined = uPlot.join(curves.map((one) => [one.x, one.y]));
     const ink = colour("--ink"), line = colour("--line");
     const axis = { stroke: ink, grid: { stroke: line, width: 1, filter: decade },
@@ -250,7 +252,8 @@
   }
   /* a derivative that dies away would take the plot for itself */
   const decades = (_, low, high) =>
-    high > 0 ? uPlot.rangeLog(Math.max(low, high / 10 ** 4), high, 10, true) : [0.1, 1];
+    high > 0 ? uPlot.rangeLog(Math.max(low, Math.min(high / 10 ** 4, own / 10)), high, 10, true) : [0.1, 1];
+  let own = Infinity; // the largest of the picked case, which is seen whatever stands beside it
   const isDecade = (one) => one != null && Math.abs(Math.log10(one) - Math.round(Math.log10(one))) < 1e-9;
   /* of a logarithmic axis that shows two decades or more, these alone have lines */
   const decade = (plot, at, axis) => {
@@ -382,6 +385,7 @@
       series: [
         { label: axis.title, value: (_, v, __, j) => (j == null ? "–" : axis.values[order[j]]) },
         { label: spread ? "mean" : scalar.title, stroke: blue, width: 2, points: dots,
+          paths: axis.unordered ? () => null : undefined,
           value: (_, v) => (v == null ? "–" : shown(v)) },
         ...(spread ? ["least", "greatest"].map((label) => ({ label, stroke: blue, dash: [4, 4],
           width: 1, value: (_, v) => (v == null ? "–" : shown(v)) })) : []),
@@ -393,7 +397,13 @@
     const rows = alongTable.rows.map((row) => `${row[0]}: ${row[1] == null ? "–" : shown(row[1])}`);
     $("along-read").textContent = `${scalar.title}${scalar.unit ? ` (${scalar.unit})` : ""}` +
       `${spread ? `, mean over ${over.map((j) => axes[j].title).join(", ")}` : ""}` +
-      `${held ? `, at ${held}` : ""}: ${rows.slice(0, 12).join("; ")}${rows.length > 12 ? "; …" : ""}`;
+      `${held ? `, at ${held}` : ""}: ${told(rows)}`;
+  }
+  /* as many as stand in some lines */
+  function told(rows) {
+    let letters = 0;
+    const kept = rows.slice(0, 12).filter((row) => (letters += row.length) < 500);
+    return kept.join("; ") + (kept.length < rows.length ? "; … (the CSV has all)" : "");
   }
   function members(at, over) {
     let found = [at];
@@ -479,6 +489,7 @@
   function drawMap() {
     const map = carried.maps[Number($("map-case").value)];
     $("map-time").max = map.fields.length - 1;
+    $("map-time").closest("label").hidden = map.fields.length < 2;
     const k = Math.min(Number($("map-time").value), map.fields.length - 1);
     const area = outline(map);
     const canvas = $("map");

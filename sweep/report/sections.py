@@ -30,7 +30,8 @@ from demflow.sweep.study.load import Study
 
 MOST_FAILURES = 50  # listed one by one
 MANY_FAILURES = 12  # more are folded
-MOST_VALUES = 12  # of an axis, listed one by one
+MOST_VALUES, MOST_LONG_VALUES = 12, 4  # of an axis, listed one by one
+LONG_VALUE = 24  # letters, of more than one parameter
 
 # what a reader should see first of how far to trust the numbers: the worst over all cases
 _QUALITIES = (
@@ -100,11 +101,13 @@ def axes_table(dataset: xr.Dataset, study: Study) -> str:
     rows = []
     for axis in study.axes:
         count = dataset.sizes[axis.name]
-        shown = range(count) if count <= MOST_VALUES else [*range(MOST_VALUES - 1), count - 1]
+        long = len(axis_value(dataset, axis.name, 0)) > LONG_VALUE
+        most = MOST_LONG_VALUES if long else MOST_VALUES
+        shown = range(count) if count <= most else [*range(most - 1), count - 1]
         values = [axis_value(dataset, axis.name, i) for i in shown]
-        if count > MOST_VALUES:
+        if count > most:
             values.insert(-1, "…")
-        rows.append((axis_title(axis.name), ", ".join(axis.parameters), count, ", ".join(values)))
+        rows.append((axis_title(axis.name), ", ".join(axis.parameters), count, "; ".join(values)))
     return grid(("axis", "parameters", "values", "which"), rows)
 
 
