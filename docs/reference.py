@@ -1,16 +1,19 @@
 """Write the reference pages from the tables that the program itself uses.
 
 `python docs/reference.py` writes `docs/reference/study.md` (every key of a study: the grammar that
-reads it, and the stages whose results depend on it), `dataset.md` (every variable of a dataset) and
-`commands.md` (the command line). A test holds the pages to the tables.
+reads it, and the stages whose results depend on it), `dataset.md` (every variable of a dataset),
+`commands.md` (the command line), `studies.md` (what ships) and `equations.md` (whose each equation
+is, and where it stands). A test holds the pages to what they are written from.
 """
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import functools
 import itertools
 import os
+import re
 import sys
 import typing
 from collections.abc import Iterator
@@ -462,6 +465,44 @@ def studies_page() -> str:
     return "\n".join(parts)
 
 
+# "Potyondy & Cundall (2004)", "Terzaghi 1923"; Eq. 24 of the paper
+_NAME = r"(?:van |de |von )?[A-Z][\w’'-]+"
+_CITED = re.compile(
+    rf"{_NAME}(?:(?:, | & | and ){_NAME})*,? \(?(?:18|19|20)\d\d\b|Eqs? \d+|Eq\. \d+"
+)
+
+
+def equations_page() -> str:
+    """Where each equation stands in the code, and whose it is, as its docstring says."""
+    rows = []
+    model = Path(__file__).parents[1] / "model"
+    for path in sorted(model.rglob("*.py")):
+        place = path.relative_to(model.parent).as_posix()
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        parts = [one for one in tree.body if isinstance(one, ast.FunctionDef | ast.ClassDef)]
+        for part in (tree, *parts):
+            text = " ".join((ast.get_docstring(part) or "").split())
+            cited = [one.replace("Eqs ", "Eq. ").replace("(", "") for one in _CITED.findall(text)]
+            if cited:
+                name = "" if part is tree else f" `{part.name}`"
+                first = _first_sentence(ast.get_docstring(part) or "")
+                sources = "; ".join(dict.fromkeys(cited))
+                rows.append(f"| {_prose(first)} | {sources} | `{place}`{name} |")
+    return (
+        "# Equations, their sources and their places\n\n"
+        "What the docstrings of the model cite; equations by number alone are those of the paper "
+        "(see [The model](../model.md)). The docstring at the place has the formula, its symbols "
+        "and units.\n\n| what | source | place |\n|---|---|---|\n" + "\n".join(rows) + "\n"
+    )
+
+
+def _first_sentence(text: str) -> str:
+    """The first line of a docstring, or two where it is broken."""
+    first = " ".join(text.split("\n\n")[0].split())
+    end = re.search(r"\.(?= [A-Z]|$)", first)
+    return first[: end.start() + 1] if end else first
+
+
 def pages() -> dict[str, str]:
     """The text of each page by its file's name."""
     return {
@@ -469,6 +510,7 @@ def pages() -> dict[str, str]:
         "dataset.md": dataset_page(),
         "commands.md": commands_page(),
         "studies.md": studies_page(),
+        "equations.md": equations_page(),
     }
 
 
