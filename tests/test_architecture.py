@@ -199,6 +199,7 @@ def test_outer_libraries_have_one_door(library):
     assert users <= DOORS[library]
 
 
+@pytest.mark.slow
 def test_nothing_that_is_read_can_be_executed():
     """Studies and results are data: no module has the means to run what it reads."""
     for module, names in IMPORTS.items():

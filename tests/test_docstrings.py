@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[1]
 MANY = 3  # parameters from which on they are listed
 TOLD = re.compile(r"^(\w+(?:, \w+)*) : ", re.MULTILINE)
@@ -50,6 +52,7 @@ def described(function: ast.FunctionDef) -> set[str]:
     return {name for names in TOLD.findall(listed) for name in names.split(", ")}
 
 
+@pytest.mark.slow
 def test_parameters_are_named_with_shape_unit_and_meaning():
     """Of public functions with three and more, at least nine of ten list every one."""
     found = {name: parameters(f) <= described(f) for name, f in public_functions()}
@@ -58,6 +61,7 @@ def test_parameters_are_named_with_shape_unit_and_meaning():
     assert len(lacking) <= 0.1 * len(found), lacking
 
 
+@pytest.mark.slow
 def test_no_docstring_names_a_parameter_that_is_none():
     for name, function in public_functions():
         several = {a.arg for a in (function.args.vararg, function.args.kwarg) if a is not None}

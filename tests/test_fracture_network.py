@@ -152,6 +152,7 @@ def test_the_backbone_is_all_ways_between_different_ports(seed):
     assert set(np.flatnonzero(_backbone(graph)).tolist()) == simple_ways(graph)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_flow_alone_is_that_of_the_whole_laplacian(seed):
     """Against a dense pseudo-inverse over all nodes, ports eliminated by hand."""

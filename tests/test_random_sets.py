@@ -47,6 +47,7 @@ def standing(values, wanted, errors=3.5):
     assert abs(np.mean(values) - wanted) < errors * error, (np.mean(values), wanted, error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", [1.0, *LENGTHS, LONG], ids=str)
 def test_intensity_is_the_same_in_the_middle_and_in_a_corner(length):
     """Fractures from outside reach in: nothing thins out at the rim, also where most are longer."""

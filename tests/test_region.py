@@ -106,6 +106,7 @@ def test_the_centre_of_a_circle_is_a_whole_radius_from_its_rim():
     assert fraction[0] == pytest.approx(0.4, rel=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("region", REGIONS)
 @given(start=point, end=point)
 @settings(max_examples=60)

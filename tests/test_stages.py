@@ -327,6 +327,7 @@ def test_permeability_alone_runs_neither_stress_nor_flow(monkeypatch):
     assert found["permeability"].shape == (2, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", OBSERVED)
 def test_what_is_observed_is_what_the_table_of_quantities_says(name):
     free = LOOSE if name in OBSERVED_LOOSE else {}

@@ -54,6 +54,7 @@ def test_starts_from_the_initial_pressure():
     )
 
 
+@pytest.mark.slow
 @given(x_D=unit, t_D=st.floats(0, 1e6))
 def test_obeys_the_maximum_principle_and_rises_to_the_steady_state(x_D, t_D):
     value = linear_dimensionless_pressure(x_D, t_D)

@@ -152,6 +152,7 @@ def test_drainage_is_the_rate_at_which_the_layer_settles():
     np.testing.assert_allclose(drainage_rate(t), slope, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_drainage_agrees_with_a_chain_of_cells():
     """The layer cut into cells, integrated by scipy to 1e-9."""
     n = 200

@@ -45,6 +45,7 @@ def rock(kind: str):
 ROCKS = ("loose", "dense", "pressed", "graded", "square", "hexagonal")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ROCKS)
 def test_it_is_the_gradient_of_the_volumes(kind):
     packing, _, pores, place = rock(kind)

@@ -155,6 +155,7 @@ def test_a_step_that_is_not_found_ends_the_march_and_keeps_what_came_before(monk
     assert np.isnan(flow[:, -1]).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [-0.6, 0.6])
 def test_a_stress_at_an_angle_is_where_it_starts_from(angle):
     """Small changes of pressure flow as through apertures that keep what the stress made them."""

@@ -144,6 +144,7 @@ def test_mandels_roots_and_start():
     assert found.pressure == pytest.approx(skempton * (1.0 + undrained) / 3.0, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_volumes_balance_to_round_off_and_come_out_of_the_settlement():
     specimen = specimen_of(random_packing(), sides=("top", "left"), held=("right",))
     lag = np.geomspace(1e-4, 1e2, 13)

@@ -225,6 +225,7 @@ def borne_at(s, hold, part, slide):
     return borne(alone, hold, np.append(part, slide))
 
 
+@pytest.mark.slow
 def test_a_rock_with_a_set_of_joints_finds_how_it_bears_its_stresses():
     scene = dataclasses.replace(
         FAULT,

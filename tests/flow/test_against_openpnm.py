@@ -7,6 +7,7 @@ from demflow.model.flow.solvers.registry import SOLVERS
 from tests.peers.pressures import OPENPNM, ours, taken
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", SOLVERS)
 def test_pressures_are_those_of_openpnm(method):
     """Kept by `tests/peers/pressures.py`: steady to 1e-8, transient to its accuracy."""

@@ -90,6 +90,7 @@ def test_is_l_d_l_transposed(n):
     assert np.all(factor.pivot > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_every_component_is_right_at_a_contrast_of_1e12(seed):
     """Against rational arithmetic; an ordinary dense solution is lost beside it.

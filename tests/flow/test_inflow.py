@@ -88,6 +88,7 @@ def test_the_closed_form_ends_in_straight_lines_and_begins_as_a_half_space():
     assert float(changes[:-1] @ rise) == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.slow
 @transient
 def test_transients_are_those_of_a_dense_solution(method):
     """Two inflows that change, a held side, wells with skin and storage, traces to the rim."""

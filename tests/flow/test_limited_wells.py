@@ -179,6 +179,7 @@ def test_a_group_shares_its_rate_whichever_of_its_wells_is_asked_for_it():
     assert np.abs(crossing["well_rate"][:, -1]).max() > 0.01 * RATE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [(1e5,), (40.0, 7e3), tuple(np.geomspace(3.0, 2e5, 9))])
 def test_volumes_balance_where_a_limit_decides_the_rate(times):
     told = ((0.0, 3.0 * RATE), (137.0, 2.2 * RATE), (911.0, 2.9 * RATE))

@@ -10,6 +10,7 @@ from tests.diffusion import well_problem
 CONTROLLED = [name for name, s in SOLVERS.items() if s.transient and s.controls_error]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", CONTROLLED)
 @pytest.mark.parametrize("source", [0, 1], ids=["side", "well"])
 @pytest.mark.parametrize("first", [3.0, 100.0])

@@ -50,6 +50,7 @@ def test_wells_are_no_tighter_than_their_rock_in_the_mean():
     assert abs(np.mean(off)) <= 0.009
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "within"), [("hexagonal", 0.01), ("square", 0.01), ("random", 0.08)]
 )
@@ -100,6 +101,7 @@ def test_drawdown_does_not_jump_where_a_pore_joins_the_well(name):
         assert pair[0] == pytest.approx(pair[1], rel=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROCKS)
 @pytest.mark.parametrize("pores", [0.6, 1.0, 1.5])
 def test_a_well_beside_a_rim_sees_its_image(name, pores):
@@ -117,6 +119,7 @@ def test_a_well_beside_a_rim_sees_its_image(name, pores):
         assert skin - plain == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ROCKS)
 @pytest.mark.parametrize("apart", [0.03, 0.2, 0.7, 1.3])
 def test_two_wells_near_each_other_superpose(name, apart):

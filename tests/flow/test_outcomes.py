@@ -71,6 +71,7 @@ def test_the_least_tolerance_is_kept_or_told(method):
     assert relative_error(well_pressure(found), reference(problem)) <= 1e-9
 
 
+@pytest.mark.slow
 @every
 def test_the_registry_says_who_estimates_the_error(method):
     solver = SOLVERS[method]
@@ -95,6 +96,7 @@ def test_a_tolerance_that_is_not_met_is_told(monkeypatch):
     assert ROCK.observed((WELL,), (("left", 0.0),), 0.0, TIMES)["tolerance_met"] == 0.0
 
 
+@pytest.mark.slow
 @every
 @pytest.mark.parametrize("what", ["output", "cumulative", "pressure", "residual"])
 def test_what_is_no_number_is_no_answer(method, what, monkeypatch):
@@ -132,6 +134,7 @@ def test_a_space_that_would_not_fit_is_not_grown(monkeypatch):
     assert np.all(np.diff(rooms[1:]) == 1)
 
 
+@pytest.mark.slow
 def test_explicit_holds_no_field_for_each_lag():
     """A schedule has thousands of lags; without maps only the outputs are kept."""
     lag = step_limit(PROBLEM.system) * np.linspace(1.0, 500.0, 5000)

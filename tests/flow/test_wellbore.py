@@ -62,6 +62,7 @@ def test_agrees_with_a_dense_eigen_solution(method):
         )
 
 
+@pytest.mark.slow
 @transient
 def test_mass_is_kept_with_what_the_wellbores_hold(method):
     limit = step_limit(ROCK.assembled(sites(WELLS), SIDES))
@@ -112,6 +113,7 @@ def test_skin_adds_its_multiple_of_the_radial_unit(seed):
     assert taken == pytest.approx(1.0 / hurt, rel=1e-10)
 
 
+@pytest.mark.slow
 @every
 def test_a_skin_leaves_the_field_around_the_well_as_it_was(method):
     """Only the well's own pressure feels it: all that it takes passes the skin."""
@@ -142,6 +144,7 @@ def test_a_stimulated_well_is_a_wider_one():
     np.testing.assert_array_equal(one, two)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("skin", "C_D"), [(0.0, 20.0), (5.0, 20.0), (5.0, 300.0), (20.0, 2.0)])
 def test_follows_the_laplace_space_solution(skin, C_D):
     """van Everdingen & Hurst with storage and skin, rim at constant pressure, over six decades."""

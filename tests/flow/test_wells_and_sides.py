@@ -77,6 +77,7 @@ def test_a_well_narrower_than_a_pore_has_peaceman_s_radius():
         assert drawdown == pytest.approx(math.log(1 / radius), rel=0.015)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "packing",
     [square_lattice(1.2, 0.05, (0.05, 0.05)), hexagonal_lattice(1.2, 0.05)],

@@ -54,6 +54,7 @@ def places_around(rock, seed, low, high, sector):
     return away * np.exp(1j * angle), h * np.resize([0.01, 0.1, 0.2], 12), h
 
 
+@pytest.mark.slow
 def test_a_well_beside_a_trace_that_keeps_its_pressure(packing):
     """ln((1 − |z|²) / |1 − z²|) + arcosh(|Im z| / r_w), the trace a diameter."""
     plain = reservoir(packing, DISC)
@@ -68,6 +69,7 @@ def test_a_well_beside_a_trace_that_keeps_its_pressure(packing):
     assert np.abs(off).max() < 0.04
 
 
+@pytest.mark.slow
 def test_a_well_around_the_tip_of_a_trace(packing):
     """A disc slit along a radius: half a disc in √z, where the well's radius is r_w / |2 √z|."""
     plain = reservoir(packing, DISC)
@@ -92,6 +94,7 @@ def test_a_wide_well_beside_a_rim(packing):
     assert np.abs(off).max() < 0.06
 
 
+@pytest.mark.slow
 def test_a_trace_that_conducts_nothing_changes_nothing(packing):
     """Whatever stands between a well and a trace, the whole of each pipe stays what it is."""
     tight = Trace(name="tight", aperture=1e-12, start=(-1.5, 0.0), end=(1.5, 0.0))

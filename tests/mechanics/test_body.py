@@ -56,6 +56,7 @@ def through_the_store(body: Body) -> Body:
     return build(Body, unpack(pack(named(body), {})).arrays)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_it_goes_on_with_the_same_bits(kind):
     """Twice as many steps, and the same with the specimen stored and built anew in between."""

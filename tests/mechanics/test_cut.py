@@ -38,6 +38,7 @@ def contact_state(specimen: Specimen) -> np.ndarray:
     return np.column_stack([overlap, specimen.pairs.shear])[overlap > 0.0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("region", REGIONS)
 @pytest.mark.parametrize("bonds", [None, BONDS])
 def test_a_cut_is_as_balanced_as_the_whole(region, bonds) -> None:
@@ -96,6 +97,7 @@ def test_a_cut_keeps_its_joints_and_its_balance(region, joint) -> None:
     assert np.linalg.norm(after - before) < 1e-3 * np.linalg.norm(before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("joint", [PLANE, CEMENT])
 def test_an_excavation_leaves_the_joints_outside_it(joint) -> None:
     whole = jointed(joint)

@@ -73,6 +73,7 @@ def test_a_lattice_is_even_as_it_is():
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_evened_rock_conducts_and_stores_alike_everywhere():
     """In discs of some 100 pores all over a random packing, by their own measure of k."""
     packed = pack(

@@ -99,6 +99,7 @@ SEVERAL = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["static", "explicit"])
 def test_every_grain_around_holes_is_in_balance(method):
     found = state(
@@ -149,6 +150,7 @@ def test_the_vertical_stress_grows_by_the_weight_above(bonds):
     assert carried == pytest.approx(DENSITY * GRAVITY * np.pi * np.sum(rock.radius**2), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_pressure_like_the_rocks_own_hides_the_hole():
     """In an elastic rock under p all around, a hole with p in it changes nothing, in the mean."""
     whole = state(stress=Stress(xx=FAR, yy=FAR))

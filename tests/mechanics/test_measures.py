@@ -46,6 +46,7 @@ def test_stress_across_a_specimen_is_that_on_the_walls(half: float) -> None:
     assert stress_in(level, state)[1, 1] == pytest.approx(10e6, rel=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "region", [Circle(0.9), Polygon(((-0.9, -0.9), (0.9, -0.9), (0.9, 0.9), (-0.9, 0.9)))]
 )

@@ -241,6 +241,7 @@ def test_porosity_and_friction_are_met_together_by_the_stress() -> None:
     assert 1e-3 < float(rock.packing_pressure) < 1e-2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("wanted", "friction"), [(0.2, 0.0), (0.15, 0.5)])
 def test_porosity_that_a_friction_cannot_have_names_the_range(wanted, friction) -> None:
     with pytest.raises(ModelError, match="contradict each other") as caught:

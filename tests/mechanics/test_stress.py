@@ -72,6 +72,7 @@ def test_unbonded_grains_reach_the_stresses(xx: float, yy: float) -> None:
     np.testing.assert_array_equal(order, np.arange(len(order)))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["contact", "parallel"])
 @pytest.mark.parametrize("porosity", [0.165, 0.19])
 def test_bonded_grains_reach_the_stresses(kind: str, porosity: float) -> None:

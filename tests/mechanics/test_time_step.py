@@ -34,6 +34,7 @@ def over_critical(specimen: Specimen) -> float:
     return 0.5 * specimen.dt * float(np.sqrt(largest))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", RATIOS)
 @pytest.mark.parametrize(
     ("porosity", "kind", "sizes"),
@@ -54,6 +55,7 @@ def test_the_step_lies_below_the_critical_one(
         assert 0.2 < found < 0.95, bonds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ratio", RATIOS)
 @pytest.mark.parametrize("kind", [None, "contact", "parallel"])
 def test_grains_come_to_rest_at_any_stiffness_ratio(ratio: float, kind: str | None) -> None:

@@ -139,6 +139,7 @@ def test_corner_pipes_lead_to_the_domain_across():
     assert np.all(seen == 2)
 
 
+@pytest.mark.slow
 def test_pore_volume_is_the_void_that_points_find():
     """Points strewn over polygons of touching grains; those in no grain make up the pore."""
     packing = hexagonal_lattice(0.3, 0.1)

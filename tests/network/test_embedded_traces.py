@@ -68,6 +68,7 @@ def flow_of_the_graph(traces):
     return float(matrix[0] @ p)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(5))
 def test_in_a_sealed_matrix_flow_is_that_of_the_traces_graph(seed):
     traces = random_traces(60, seed)
@@ -201,6 +202,7 @@ def test_a_trace_that_conducts_nothing_leaves_the_matrix_as_it_was():
     np.testing.assert_allclose(one, tensors[0], rtol=1e-4, atol=1e-4 * one[0, 0])
 
 
+@pytest.mark.slow
 def test_a_conducting_tip_is_unbiased():
     """A trace of five pores in an infinite rock adds π L² / 4 per area to the mean permeability.
 

@@ -52,6 +52,7 @@ def cubic_law(made, trace=0):
     return transmissivity(APERTURE, VISCOSITY) / length
 
 
+@pytest.mark.slow
 @everywhere
 @given(left=st.floats(-0.6, 0.6), right=st.floats(-0.6, 0.6))
 @settings(max_examples=15)

@@ -78,6 +78,7 @@ def response(model, **values):
     return t, unit_response(MODELS[model], rock, known, t)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("model", "values", "expected"),
     [

@@ -47,6 +47,7 @@ def python(folder, *arguments):
     )
 
 
+@pytest.mark.slow
 def test_a_study_runs_from_a_folder_with_modules_of_the_same_names(folder):
     """From a script that imports them, whose workers import that script; then by the command."""
     done = python(folder, "script.py")

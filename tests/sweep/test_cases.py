@@ -53,6 +53,7 @@ def test_blocks_of_equal_content_are_one_object(tmp_path):
     assert len({id(case.scene.fractures) for case in made}) == 15
 
 
+@pytest.mark.slow
 def test_more_variants_of_a_block_than_are_kept(tmp_path):
     axes = "vary:\n  q: {parameter: wells.producer.rate, from: 1, to: 90, count: 90}\n"
     axes += "  r: {parameter: wells.producer.radius, from: 1 mm, to: 90 mm, count: 90}\n"

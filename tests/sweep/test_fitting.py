@@ -134,6 +134,7 @@ def test_what_cannot_be_fitted_is_refused():
         fit(lambda v: np.zeros(9), np.zeros(9), [])
 
 
+@pytest.mark.slow
 def test_the_likeliest_model_is_named_and_no_more():
     well = Superposed(TIMES, RATES)
     truth = {**VALUES, "distance": 40.0}
@@ -278,6 +279,7 @@ def test_without_rates_the_changes_that_the_pressure_shows_are_told(tmp_path, ca
     assert "later than the rates change: two clocks?" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_intervals_hold_every_way_in_which_a_model_fits():
     """A fault at the well halves what the flow sees, as does half the permeability far from one."""
     model = MODELS["fault"]
@@ -307,6 +309,7 @@ def test_intervals_hold_every_way_in_which_a_model_fits():
     assert abs(found["permeability"].another / found["permeability"].value - 1.0) > 0.1
 
 
+@pytest.mark.slow
 def test_the_shipped_record_gives_back_what_it_was_made_of(tmp_path):
     fitted = fit_study(Path(__file__).parents[2] / "studies" / "fit_build_up.yaml", tmp_path)
     assert next(iter(fitted.fits)) == "homogeneous"

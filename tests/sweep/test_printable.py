@@ -10,6 +10,7 @@ from demflow.sweep.study.load import StudyError
 from demflow.sweep.study.yaml_source import MOST_TOLD
 
 
+@pytest.mark.slow
 @given(st.text(st.characters(exclude_categories=())))
 def test_any_text_can_be_printed_and_keeps_what_can_be_seen(text):
     shown = printable(text)
@@ -24,6 +25,7 @@ def test_controls_are_seen():
     assert printable_lines("one\x07\ntwo") == "one\\x07\ntwo"
 
 
+@pytest.mark.slow
 @given(st.text(), st.integers(10, 50))
 def test_a_long_text_keeps_its_ends(text, most):
     short = shortened(text, most)

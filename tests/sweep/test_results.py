@@ -67,6 +67,7 @@ def test_the_maps_of_one_case(folder, maps):
     assert (case.axis_aperture, case.stress_yy, case.rate) == (0.25, 10e6, 1.0)
 
 
+@pytest.mark.slow
 def test_a_steady_map_has_no_time(folder, maps, monkeypatch):
     monkeypatch.setitem(MAPS, "pressure", np.arange(2.0))
     case = open_toy(folder, stress_yy=5e6, rate=1, aperture=0.25)

@@ -100,6 +100,7 @@ def test_lots_are_no_longer_than_a_part_of_a_case_s_time_limit():
     assert schedule.lot_seconds == 4.0 / SHARES < free
 
 
+@pytest.mark.slow
 @given(st.integers(1, 3), st.integers(1, 3), st.integers(1, 3), st.data())
 def test_whatever_happens_every_run_ends_once(packs, flows, observers, data):
     plan = tree(packs, flows, observers)

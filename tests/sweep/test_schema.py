@@ -26,6 +26,7 @@ def schema():
     return study_schema()
 
 
+@pytest.mark.slow
 def test_it_is_json_of_the_stated_dialect(schema):
     assert json.loads(json.dumps(schema)) == schema
     jsonschema.Draft202012Validator.check_schema(schema)

@@ -71,6 +71,7 @@ def test_each_place_of_a_result_has_its_own_indices():
     assert np.all(np.isnan(found["total"][:, 2]))  # a constant has no variance to be parted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("failed", [(3,), (1, 9), (0, 1), (2, 5, 13)])
 def test_bounds_hold_for_all_that_failed_cases_could_have_been_and_no_more(failed):
     dataset, limits = sampled(bent, 2 + 1, 4, failed=failed), (-1.0, 4.0)
@@ -97,6 +98,7 @@ def test_bounds_hold_for_all_that_failed_cases_could_have_been_and_no_more(faile
     assert int(found["unknown"]) == len(failed)
 
 
+@pytest.mark.slow
 def test_bounds_close_in_on_the_indices_as_the_limits_do():
     dataset = sampled(bent, 3, 128, failed=(4,))
     whole = sensitivity(sampled(bent, 3, 128), "y")

@@ -144,6 +144,7 @@ def test_what_the_sources_at_hand_cannot_reach_is_unwanted(work, made, tmp_path)
     assert len(unwanted(tmp_path / "results", table=TABLE).files) == 4
 
 
+@pytest.mark.slow
 def test_a_function_without_sources_is_known_by_its_version():
     assert closure("no.such.module:function") == ""
     assert closure("demflow.model.mechanics.packing.packing:pack") != closure(

@@ -339,6 +339,7 @@ def test_what_is_no_file(tmp_path):
             load_study(path)
 
 
+@pytest.mark.slow
 @settings(
     max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )

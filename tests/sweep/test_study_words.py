@@ -190,6 +190,7 @@ def test_an_axis_into_a_block_that_is_not_there_is_told(tmp_path, vary, old, new
         load(tmp_path, text)
 
 
+@pytest.mark.slow
 @settings(max_examples=120, deadline=None)
 @given(st.integers(0, 2**32))
 def test_a_damaged_study_ends_in_clean_words_or_success(tmp_path_factory, seed):

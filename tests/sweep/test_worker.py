@@ -79,6 +79,7 @@ def test_what_a_lot_has_finished_is_stored_while_it_goes_on(store, monkeypatch):
     assert all(store.has(identity) for identity in IDS.values())
 
 
+@pytest.mark.slow
 def test_compiling_is_left_out_of_the_time_of_a_stage(store):
     outcome = run(store, *tasks(toy_stages.COMPILES))[1]
     assert outcome.status is Status.DONE
@@ -152,6 +153,7 @@ def test_parents_that_went_out_of_memory_come_from_what_came_with_the_lot(store,
     assert [o.status for o in outcomes] == [Status.DONE] * 2
 
 
+@pytest.mark.slow
 def test_what_lies_in_memory_from_before_counts_against_no_run(store):
     """A run that finds no memory is tried again without the products of earlier ones."""
     pack, flow, _ = tasks(toy_stages.FORESEES)
