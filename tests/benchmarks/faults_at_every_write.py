@@ -9,7 +9,8 @@ kinds of fault take turns over the calls. Each run must end with the status that
 and one line that names the place; all that was there must be whole; the next run must complete
 with the same bits.
 
-It needs Linux and a C compiler (`cc`), which nothing else of demflow does.
+With EVERY in the environment only every so many-th call fails (no multiple of three, so that the
+kinds still take turns). It needs Linux and a C compiler (`cc`), which nothing else of demflow does.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from tests.benchmarks.same_bits_any_workers import differing
 from tests.sweep import toys
 from tests.sweep.processes import ROOT, leftovers, products
 
+EVERY = int(os.environ.get("EVERY", "1"))
 LAYER = Path(__file__).parent / "fail_at.c"
 STATE = struct.Struct("llll")  # calls so far, the one that fails, its error, whether it lasts
 KINDS = {
@@ -246,7 +248,7 @@ WAYS = (compute, draw)  # side by side
 
 def _turns(calls: int) -> Iterator[tuple[int, str, tuple[int, bool]]]:
     """Every call once, with one kind of fault after the other."""
-    for turn in range(1, calls + 1):
+    for turn in range(1, calls + 1, EVERY):
         yield turn, *list(KINDS.items())[turn % len(KINDS)]
 
 

@@ -2,12 +2,14 @@
 
 The run's own process gets SIGKILL, as from the kernel when memory is out; its workers have
 to end by themselves. A run is killed up to four times, at moments drawn evenly over the time
-of an undisturbed one, then resumed to its end, compared, and begun afresh.
+of an undisturbed one, then resumed to its end, compared, and begun afresh. KILLS (of the
+environment) is how many there are.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import shutil
 import time
@@ -25,7 +27,7 @@ from tests.benchmarks.same_bits_any_workers import differing
 from tests.sweep import toys
 from tests.sweep.processes import leftovers, products, start
 
-KILLS, MOST_IN_A_ROW = 200, 4
+KILLS, MOST_IN_A_ROW = int(os.environ.get("KILLS", "200")), 4
 LANES = 2  # storms at once, each in a folder of its own
 KILLED, STORED, RESUMED = "kills", "kills with products stored", "runs resumed"
 FAULTS = (
