@@ -26,7 +26,7 @@ from demflow.sweep.figures.style import (
     shorten,
 )
 
-MOST_TICKS = 7
+MOST_TICKS, LETTERS = 7, 16  # names along an axis, and of each
 FEW = 8  # values over two axes that lines can still tell
 
 
@@ -129,7 +129,7 @@ def _name_places(dataset: xr.Dataset, x: str, y: str, panel: Axes) -> None:
     for axis, name in ((panel.xaxis, x), (panel.yaxis, y)):
         count = dataset.sizes[name]
         places = range(0, count, -(-count // MOST_TICKS))
-        name_ticks(axis, places, [shorten(axis_value(dataset, name, k), 14) for k in places])
+        name_ticks(axis, places, [shorten(axis_value(dataset, name, k), LETTERS) for k in places])
         axis.set_label_text(axis_title(name))
     for text in panel.get_xticklabels():
         text.set(rotation=35, horizontalalignment="right")
@@ -212,7 +212,7 @@ def _figure(
     """A panel of colours with its bar for each field; ellipses beside them."""
     count = len(fields) + ellipses
     longest, beside = (
-        max(len(shorten(axis_value(dataset, one, k), 14)) for k in range(dataset.sizes[one]))
+        max(len(shorten(axis_value(dataset, one, k), LETTERS)) for k in range(dataset.sizes[one]))
         for one in (x, y)
     )
     figure, panels = fixed_panels(

@@ -92,10 +92,10 @@
 
   /* ---- colours of the page, which follow light and dark ---- */
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const blues = (k, n) => mixed(colour("--blue"), k, n);
-  const reds = (k, n) => mixed(colour("--red"), k, n);
-  function mixed(base, k, n) {
-    const share = n < 2 ? 100 : Math.round(35 + (65 * k) / (n - 1));
+  const blues = (k, n, chosen) => mixed(colour("--blue"), k, n, chosen);
+  const reds = (k, n, chosen) => mixed(colour("--red"), k, n, chosen);
+  function mixed(base, k, n, chosen) {
+    const share = chosen || n < 2 ? 100 : Math.round(35 + (50 * k) / (n - 1));
     return `color-mix(in srgb, ${base} ${share}%, ${colour("--paper")})`;
   }
   /* canvases take no color-mix everywhere; the browser works it out once */
@@ -177,7 +177,7 @@
             const which = bounds.length > 1 ? `, period ${period + 1}` : "";
             if (x.length)
               found.push({ label: `${sign} ${name}${which}`.trim(), x, y, unit,
-                           colour: plain(paint(k, cases.length)), width: chosen ? 2.4 : 1.2,
+                           colour: plain(paint(k, cases.length, chosen)), width: chosen ? 2.4 : 1.2,
                            dash: period ? [6, 3] : null });
           });
         }
@@ -193,7 +193,7 @@
         });
         if (x.length)
           found.push({ label: name || history.of[of], x, y, unit: history.unit,
-                       colour: plain(blues(k, cases.length)), width: chosen ? 2.4 : 1.2, dash: null });
+                       colour: plain(blues(k, cases.length, chosen)), width: chosen ? 2.4 : 1.2, dash: null });
       }
     });
     return found;

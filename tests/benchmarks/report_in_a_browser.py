@@ -40,6 +40,8 @@ observe: [well_pressure, permeability, pressure_map]
 """
 HOSTILE = '<img src=x onerror=alert(1)></script><script>alert(2)</script> $x$ & "quotes"'
 
+NOTES = f"# {HOSTILE}\n\n[x](javascript:alert(3)) ![x](https://example.com/x.png)\n"
+
 
 def study_text(name: str, count: int, sizes: tuple[int, int, int], title: str = "Cases") -> str:
     vary = VARY
@@ -61,7 +63,7 @@ STUDIES = {  # name -> study; its cases
     ),
     "all-failed": study_text("all-failed", 300, (2, 2, 2))
     + "solver: {method: explicit, safety_factor: 2.4}\n",
-    "hostile": study_text("hostile", 300, (2, 1, 1), HOSTILE),
+    "hostile": study_text("hostile", 300, (2, 1, 1), HOSTILE) + "report: {notes: notes.md}\n",
 }
 
 
@@ -104,6 +106,7 @@ def run() -> Result:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         script = _browser(folder)
+        (folder / "notes.md").write_text(NOTES)
         jobs, counts = [], {}
         for study, text in STUDIES.items():
             path = folder / f"{study}.yaml"
