@@ -20,11 +20,19 @@ WIDTH, COLOURS = 760, 96  # of a picture, which is small enough to be kept in Gi
 SHOWN = {  # study -> its figure
     "quickstart": "well_pressure_producer",
     "field_well": "traces",
+    "outcrop": "pressure_map_1",
     "build_up": "horner_producer",
+    "fit_build_up": "measured_test",
     "permeability_under_stress": "permeability",
-    "outcrop": "traces",
-    "biaxial": "stress_strain",
+    "stress_closure": "permeability_over",
+    "uncertain_rock": "sensitivity",
+    "tunnel_inflow": "well_rate",
+    "drift_inflow": "forces_0",
+    "paper_linear": "compare_linear",
     "paper_fractured": "pressure_map_0",
+    "mandel": "settlement",
+    "fault_reactivation": "slip",
+    "biaxial": "stress_strain",
 }
 
 
