@@ -16,6 +16,9 @@ import traceback
 
 from tests.benchmarks import page
 from tests.benchmarks.result import Result
+from tests.peers.yade import PeerMissingError
+
+NOT_RUN = "not run"
 
 
 def run(name: str) -> Result:
@@ -23,6 +26,8 @@ def run(name: str) -> Result:
     try:
         result: Result = importlib.import_module(f"tests.benchmarks.{name}").run()
         return result
+    except PeerMissingError as error:  # says nothing of what was found where it is there
+        return Result(f"{NOT_RUN}: {error}", "to run", False)
     except Exception as error:  # the other checks go on
         told = traceback.format_exc()
         return Result(f"did not run: {type(error).__name__}", "to run", False, told)
@@ -49,7 +54,7 @@ def main(arguments: list[str]) -> int:
         if asked.names:
             print(result.details)
         print(f"{name}: {result.line}", flush=True)
-        if asked.keep or not asked.names:
+        if (asked.keep or not asked.names) and not result.figure.startswith(NOT_RUN):
             page.keep(name, result)
         hold &= result.holds
     return 0 if hold else 1
