@@ -39,6 +39,7 @@ from tests.benchmarks.result import Result
 from tests.peers.lammps import ENVIRONMENT
 from tests.peers.yade import PeerMissingError
 
+LOT = 50  # cases that a reader takes at a time: starting one takes as long as reading ten
 CASES = int(os.environ.get("CASES", "1000"))
 READER = Path(__file__).parents[1] / "peers" / "case_files.py"
 OF_PYPI = ("cf_checker", "ugrid_checker", "xugrid", "uxarray", "vtk")
@@ -47,45 +48,74 @@ OF_THE_SYSTEM = ("mdal", "cdo")
 
 def run() -> Result:
     """Write every case both ways and have the others read it."""
+    jobs = _jobs()
+    cases: dict[str, xr.Dataset] = {}
+    found: dict[str, dict[str, Any]] = {}
+    with tempfile.TemporaryDirectory(prefix="demflow-bench-") as home:
+        files = Path(home, "files")
+        files.mkdir()
+        for name, case in _every_case(Path(home, "results")):
+            cases[name] = case
+            if "mesh" in case:
+                sweep.write_case(case, files / f"{name}.nc")
+                sweep.write_case(case, files / f"{name}.pvd")
+            case.to_netcdf(files / f"{name}_as_opened.nc")
+            if len(cases) % LOT == 0:
+                _read(jobs, files, found)
+        _read(jobs, files, found)
+    faults: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
+    for reader, told in found.items():
+        for name, one in told.items():
+            case = cases[name.removesuffix("_as_opened")]
+            problem = _problem(reader, one, case, name.endswith("_as_opened"))
+            counts[reader] += problem is not None
+            if problem:
+                faults[f"{reader}: {name}: {problem}"] += 1
+    files_read = ", ".join(f"{name} {number}" for name, number in counts.items())
+    lines = [f"files read: {files_read}", *list(faults)[:40]]
+    total = sum(counts.values())
+    return Result(f"{len(faults)} of {total} readings not right", "0", not faults, "\n".join(lines))
+
+
+Jobs = list[tuple[Path | str, tuple[str, ...]]]
+
+
+def _jobs() -> Jobs:
+    """Pythons and the readers that each has. Raises PeerMissingError."""
     python = Path(os.environ.get("PEERS_PYTHON", ENVIRONMENT / "bin" / "python"))
     system = os.environ.get("QGIS_PYTHON", "/usr/bin/python3")
     if not python.exists():
         raise PeerMissingError("xugrid, uxarray and VTK are not installed: make peers")
     if shutil.which("cdo") is None or subprocess.run([system, "-c", "import qgis"]).returncode:
         raise PeerMissingError("apt-get install python3-qgis qgis-providers cdo")
-    jobs = [(python, (reader,)) for reader in OF_PYPI] + [(system, OF_THE_SYSTEM)]
-    faults: Counter[str] = Counter()
-    counts: Counter[str] = Counter()
+    return [*((python, (reader,)) for reader in OF_PYPI), (system, OF_THE_SYSTEM)]
+
+
+def _every_case(results: Path) -> Iterator[tuple[str, xr.Dataset]]:
+    """The maps of all cases of all studies, each run before."""
     named = os.environ.get("STUDIES", "").split()
     for study in sorted(STUDIES.glob("*.yaml")):
         if named and study.stem not in named:
             continue
-        with tempfile.TemporaryDirectory(prefix="demflow-bench-") as home:
-            run_study(study, workers=2, results=Path(home, "results"), smoke=True, figures=False)
-            files = Path(home, "files")
-            files.mkdir()
-            cases = dict(_cases(Path(home, "results", sweep.load_study(study).name)))
-            for name, case in cases.items():
-                if "mesh" in case:
-                    sweep.write_case(case, files / f"{name}.nc")
-                    sweep.write_case(case, files / f"{name}.pvd")
-                case.to_netcdf(files / f"{name}_as_opened.nc")
-            with ThreadPoolExecutor(2) as pool:
-                all_told = pool.map(_told, *zip(*jobs, strict=True), itertools.repeat(files))
-                found = {reader: told for one in all_told for reader, told in one.items()}
-            print(f"{study.stem}: {len(cases)} cases read", file=sys.stderr, flush=True)
-        for reader, told in found.items():
-            for name, one in told.items():
-                case = cases[name.removesuffix("_as_opened")]
-                as_opened = name.endswith("_as_opened")
-                problem = _problem(reader, one, case, as_opened)
-                counts[reader] += problem is not None
-                if problem:
-                    faults[f"{reader}: {study.stem} {name}: {problem}"] += 1
-    files_read = ", ".join(f"{name} {number}" for name, number in counts.items())
-    lines = [f"files read: {files_read}", *list(faults)[:40]]
-    total = sum(counts.values())
-    return Result(f"{len(faults)} of {total} readings not right", "0", not faults, "\n".join(lines))
+        run_study(study, workers=2, results=results, smoke=True, figures=False)
+        number = 0
+        for name, case in _cases(results / sweep.load_study(study).name):
+            yield f"{study.stem}_{name}", case
+            number += 1
+        print(f"{study.stem}: {number} cases written", file=sys.stderr, flush=True)
+
+
+def _read(jobs: Jobs, files: Path, found: dict[str, dict[str, Any]]) -> None:
+    """Have all files of a folder read, each reader started once, and take them away."""
+    if not any(files.iterdir()):
+        return
+    with ThreadPoolExecutor(2) as pool:
+        for told in pool.map(_told, *zip(*jobs, strict=True), itertools.repeat(files)):
+            for reader, one in told.items():
+                found.setdefault(reader, {}).update(one)
+    for file in files.iterdir():
+        file.unlink()
 
 
 def _cases(folder: Path) -> Iterator[tuple[str, xr.Dataset]]:
