@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass
+from functools import lru_cache
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Pierced, Rectangle, Region, Shape, side_length
@@ -101,6 +102,12 @@ _OBSERVED = {
     "wall_displacement": ("coupled", "nothing moves the walls; add coupling: linear"),
     "effective_stress": ("coupled", "nothing changes it; add coupling: linear"),
 }
+
+
+@lru_cache(maxsize=1024)
+def _needed(observe: tuple[str, ...]) -> frozenset[str]:
+    """The stages that outputs need: asked for some ten times a scene."""
+    return frozenset(stage for name in observe for stage in OBSERVABLES.get(name, ()))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -242,7 +249,7 @@ class Scene:
 
     def needs(self, stage: str) -> bool:
         """Whether an output is wanted that needs a stage."""
-        return any(stage in OBSERVABLES.get(name, ()) for name in self.observe)
+        return stage in _needed(tuple(self.observe))
 
     @property
     def flows(self) -> bool:
@@ -337,9 +344,10 @@ class Scene:
             ("probes", [probe.name for probe in self.probes]),
             ("boundaries", [name for name, _ in self.boundaries]),
         ):
-            for name, times in Counter(names).items():
-                if times > 1:
-                    yield f"{kind}.{name}", "the name is used twice"
+            if len(set(names)) < len(names):
+                for name, times in Counter(names).items():
+                    if times > 1:
+                        yield f"{kind}.{name}", "the name is used twice"
 
     def _observed_problems(self) -> Problems:
         """What is observed where there is nothing to see."""
