@@ -290,7 +290,9 @@ class Law(Section):
     def _law(self, values: Any) -> Block | None:
         if not isinstance(values, dict):
             return None
-        return next((block for key, block in self.laws.items() if key in values), None)
+        # a law whose only key could not be read is still no number
+        some = next(iter(self.laws.values()))
+        return next((block for key, block in self.laws.items() if key in values), some)
 
 
 @dataclass(frozen=True)

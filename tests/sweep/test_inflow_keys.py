@@ -61,6 +61,7 @@ def test_a_case_tells_pressure_and_flow_of_its_sides(tmp_path):
         ("top: {inflow", "tp: {inflow", "the region has no such side"),
         ("{inflow: 1 L/h}", "{schedule: [[2 h, 1 L/h], [1 h, 0 L/h]]}", "times must increase"),
         ("{inflow: 1 L/h}", "{}", "boundaries.top"),
+        ("{inflow: 1 L/h}", "{schedule: null}", "give exactly one of"),
     ],
 )
 def test_faults_are_told_where_they_stand(tmp_path, old, new, told):
