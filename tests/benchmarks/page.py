@@ -7,6 +7,8 @@ import datetime
 import json
 import os
 import platform
+import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +43,17 @@ def keep(name: str, result: Result) -> None:
         "day": datetime.date.today().isoformat(),
         "machine": f"{platform.machine()}, {os.cpu_count()} cores, Python "
         f"{platform.python_version()}",
-        **result._asdict(),
+        **result._replace(details=_anywhere(result.details))._asdict(),
     }
     rows = {one: rows[one] for one in sorted(rows) if one in titles()}
     KEPT.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     write()
+
+
+def _anywhere(text: str) -> str:
+    """Words without the folders of the machine on which they were said."""
+    temporary = re.escape(tempfile.gettempdir())
+    return re.sub(rf"{temporary}/[^/\s]+/", "…/", text.replace(f"{FOLDER.parents[1]}/", ""))
 
 
 def write() -> None:
