@@ -12,7 +12,7 @@ import re
 from typing import Any, NamedTuple
 
 from demflow.sweep.printable import shortened
-from demflow.sweep.study.sections import NamedFile, Parameter, Reading, kept_name
+from demflow.sweep.study.sections import Parameter, Reading
 from demflow.sweep.study.units import bare
 from demflow.sweep.study.yaml_source import Mapping, Place, Scalar, Sequence
 
@@ -78,16 +78,7 @@ def _table(given: Any, reading: Reading) -> Table:
     """The cells of a file. Raises ValueError, OSError."""
     if not isinstance(given, Scalar) or given.empty:
         raise ValueError("a file is named by its path relative to the study")
-    kept = kept_name(given.text)
-    path = next(
-        (p for p in (reading.folder / kept, reading.folder / given.text) if p.is_file()), None
-    )
-    if path is None:
-        raise ValueError(f"there is no such file in {reading.folder.resolve()}")
-    if path.stat().st_size > LARGEST_FILE:
-        raise ValueError(f"it is larger than {LARGEST_FILE // 1_000_000} MB")
-    content = path.read_bytes()
-    reading.files[kept] = NamedFile(path, content)
+    content = reading.content(given.text, LARGEST_FILE)
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:

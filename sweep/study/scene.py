@@ -55,13 +55,12 @@ from demflow.sweep.study.blocks import (
 )
 from demflow.sweep.study.map_files import LARGEST_FILE, MapError, read_map
 from demflow.sweep.study.sections import (
-    NamedFile,
+    NoFileError,
     NoParameter,
     Parameter,
     Reading,
     Section,
     join,
-    kept_name,
     shape,
 )
 from demflow.sweep.study.units import nearest
@@ -391,18 +390,11 @@ def contents(text: str, reading: Reading) -> dict[str, bytes]:
     names = [named, named.with_suffix(".prj")] if named.suffix.lower() == ".shp" else [named]
     files: dict[str, bytes] = {}
     for name in names:
-        kept = kept_name(str(name))
-        path = reading.folder / kept
-        if not path.is_file():
-            path = reading.folder / name
-        if not path.is_file():
-            if name == named:
-                raise MapError([f"there is no such file in {reading.folder.resolve()}"])
-            continue
-        if path.stat().st_size > LARGEST_FILE:
-            raise MapError([f"it is larger than {LARGEST_FILE // 1_000_000} MB"])
-        files[name.name] = path.read_bytes()
-        reading.files[kept] = NamedFile(path, files[name.name])
+        try:
+            files[name.name] = reading.content(str(name), LARGEST_FILE)
+        except ValueError as error:
+            if name == named or not isinstance(error, NoFileError):
+                raise MapError([str(error)]) from None
     return files
 
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from demflow.sweep.study.sections import NamedFile, Parameter, Reading, kept_name
+from demflow.sweep.study.sections import Parameter, Reading
 from demflow.sweep.study.tables import (
     LARGEST_TABLE,
     PRESSURE_NAMES,
@@ -90,16 +90,10 @@ def opened(text: str, reading: Reading) -> Table:
         names.append(named.with_suffix(other.upper() if upper else other))
     files: dict[str, bytes] = {}
     for name in names:
-        kept = kept_name(str(name))
-        path = reading.folder / kept
-        if not path.is_file():
-            path = reading.folder / name
-        if not path.is_file():
-            raise TableError(f"{name}: there is no such file in {reading.folder.resolve()}")
-        if path.stat().st_size > LARGEST_TABLE:
-            raise TableError(f"{name}: it is larger than {LARGEST_TABLE // 1_000_000} MB")
-        files[name.name] = path.read_bytes()
-        reading.files[kept] = NamedFile(path, files[name.name])
+        try:
+            files[name.name] = reading.content(str(name), LARGEST_TABLE)
+        except ValueError as error:
+            raise TableError(f"{name}: {error}") from None
     try:
         return read_table(files)
     except TableError as error:

@@ -50,6 +50,10 @@ class NoParameter(LookupError):
     """A path that names nothing that an axis could vary. The text says why, if it is not plain."""
 
 
+class NoFileError(ValueError):
+    """A file that a study names is not there."""
+
+
 class NamedFile(NamedTuple):
     """A file that a study names."""
 
@@ -95,6 +99,27 @@ class Reading:
             shorter = re.sub(r"\[\d+\]", "", path)  # line[3] was expanded from line
             path = shorter if shorter != path else path.rpartition(".")[0]
         return self.places.get(path, Place(1, 1))
+
+    def content(self, name: str, most: int) -> bytes:
+        """Content of a file that the study names, which is noted, or of its kept copy.
+
+        Parameters
+        ----------
+        name : its path relative to the study
+        most : bytes that it may have
+
+        Raises NoFileError where there is none, ValueError where it is larger, OSError.
+        """
+        kept = kept_name(name)
+        both = (self.folder / kept, self.folder / name)
+        path = next((one for one in both if one.is_file()), None)
+        if path is None:
+            raise NoFileError(f"there is no such file in {self.folder.resolve()}")
+        if path.stat().st_size > most:
+            raise ValueError(f"it is larger than {most // 1_000_000} MB")
+        found = path.read_bytes()
+        self.files[kept] = NamedFile(path, found)
+        return found
 
     def spoilt(self, path: str) -> bool:
         """Whether the path, or something that contains it, could not be read."""

@@ -256,7 +256,7 @@ class Growth:
         self._judge_by(problem)
 
     def _judge_by(self, problem: Problem) -> None:
-        """Compare with the sizes that a problem names from now on."""
+        """Take the scales of errors from a problem from now on."""
         self.problem = problem
         self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._scales: dict[int, np.ndarray] = {}
@@ -265,9 +265,9 @@ class Growth:
     def to_tolerance(self, problem: Problem) -> float:
         """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
 
-        What was grown before, for sizes that were not known, is judged anew first. Where rates
-        lie so far apart that round-off hides the tolerance, the space grows until nothing is
-        gained any more; the error is then that which the last vectors show.
+        A space that has grown already is first judged anew, by the problem's scales and tolerance.
+        Where rates lie so far apart that round-off hides the tolerance, the space grows until
+        nothing is gained any more; the error is then that which the last vectors show.
         """
         space, tolerance = self.space, problem.tolerance
         if space.size == 0:
