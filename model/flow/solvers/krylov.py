@@ -371,17 +371,17 @@ class Growth:
     def _known(self, size: int) -> np.ndarray:
         """Coefficients (l, k) of the pressure in the space's first vectors."""
         if size not in self._coefficients:
-            self._coefficients[size] = self.space.modes(size).pressure(self.lag)
+            _keep(self._coefficients, size, self.space.modes(size).pressure(self.lag))
         return self._coefficients[size]
 
     def _seen(self, size: int) -> np.ndarray:
         """Recorded outputs (l, o) of the space's first vectors."""
         if size not in self._outputs:
-            self._outputs[size] = self.space.outputs(self._known(size)) + self.recorded
+            outputs = self.space.outputs(self._known(size)) + self.recorded
             if self.own_flow is not None:
                 own = self.problem.records.well_rows + self.source
-                flow = self.space.modes(size).own_flow(self.lag)
-                self._outputs[size][:, own] = self.own_flow + flow
+                outputs[:, own] = self.own_flow + self.space.modes(size).own_flow(self.lag)
+            _keep(self._outputs, size, outputs)
         return self._outputs[size]
 
     def _output_change(self, size: int, before: list[int]) -> list[float]:
@@ -389,19 +389,19 @@ class Growth:
         now = self._seen(size)
         if size not in self._scales:
             scale = self.problem.scale(self.source, now)
-            self._scales[size] = np.where(scale > 0.0, scale, np.inf)
-        change = np.abs(np.array([self._seen(b) for b in before]) - now)
-        change /= self._scales[size]
-        return _floats(change.max(axis=(1, 2), initial=0.0))
+            self._scales = {size: np.where(scale > 0.0, scale, np.inf)}
+        scale = self._scales[size]
+        moved = [(np.abs(self._seen(b) - now) / scale).max(initial=0.0) for b in before]
+        return _floats(np.array(moved))
 
     def _field_change(self, size: int, before: list[int]) -> list[float]:
         """Largest change of the field since some sizes over the largest field, in the C-norm."""
         now = self._known(size)
-        change = np.empty((len(before), *now.shape))
-        change[:] = now
-        for each, b in zip(change, before, strict=True):
-            each[:, : now.shape[1] - (size - b)] -= self._known(b)
-        moved = np.linalg.norm(change, axis=2).max(axis=1, initial=0.0)
+        moved = np.zeros(len(before))
+        for k, b in enumerate(before):
+            change = now.copy()
+            change[:, : now.shape[1] - (size - b)] -= self._known(b)
+            moved[k] = np.linalg.norm(change, axis=1).max(initial=0.0)
         largest = np.linalg.norm(now, axis=1).max(initial=0.0)
         return _floats(moved / largest) if largest > 0.0 else [0.0] * len(before)
 
@@ -419,6 +419,16 @@ class Growth:
             change[:, : now.shape[1] - (size - b)] -= known
             moved[k] = np.abs(self.space.fields(change)).max(initial=0.0)
         return _floats(moved / largest) if largest > 0.0 else [0.0] * len(before)
+
+
+def _keep(known: dict[int, np.ndarray], size: int, values: np.ndarray) -> None:
+    """Keep what belongs to a size, and forget what lies too far before it to be asked for soon.
+
+    With a hundred thousand lags, as of a long schedule, each size takes tens of megabytes.
+    """
+    for old in [one for one in known if one < size - 2 * max(TUNED.widths)]:
+        del known[old]
+    known[size] = values
 
 
 def _floats(values: np.ndarray) -> list[float]:

@@ -26,6 +26,7 @@ steady state u = G⁻¹ f instead: the response is u − e^(−tC⁻¹G) u, in w
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ from demflow.model.flow.linear.factor import Factor, solve
 from demflow.model.memory import foresee
 
 MOST_VECTORS = 300  # of the Krylov sequence
+LAGS = 8192  # at once: what is computed on the way takes several times the room of the result
 
 # Rows of edge differences that are orthogonalised at once; they stay in cache.
 BLOCK_ROWS = 1024
@@ -56,17 +58,21 @@ class Modes(NamedTuple):
 
     def pressure(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the basis (…, l, m) of the pressure, (1 − e^(−λt)) / λ in each mode."""
-        t = lag[:, None]
-        return self._in_basis(t * _phi1(t * self.decay[..., None, :]))
+        return self._by_blocks(lag, lambda t: t * _phi1(t * self.decay[..., None, :]))
 
     def integral(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the time integral of the pressure."""
-        t = lag[:, None]
-        return self._in_basis(t * t * _phi2(t * self.decay[..., None, :]))
+        return self._by_blocks(lag, lambda t: t * t * _phi2(t * self.decay[..., None, :]))
 
     def rate(self, lag: np.ndarray) -> np.ndarray:
         """Coefficients of the pressure's rate of change."""
         return self._in_basis(np.exp(-lag[:, None] * self.decay[..., None, :]))
+
+    def _by_blocks(self, lag: np.ndarray, modal: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        """Coefficients of what each mode does at times (l, 1), which are many in long schedules."""
+        blocks = np.split(lag, range(LAGS, len(lag), LAGS))
+        found = [self._in_basis(modal(t[:, None])) for t in blocks]
+        return found[0] if len(found) == 1 else np.concatenate(found, axis=-2)
 
     def _in_basis(self, modal: np.ndarray) -> np.ndarray:
         """Coefficients of what each mode (…, l, k) does by a unit of its load."""
