@@ -227,8 +227,8 @@ class Poles:
         self._known.append(self.factors.near(pole))
 
 
-# Largest change of something between a size of a space and each of some smaller ones
-Change = Callable[[int, list[int]], list[float]]
+# Largest change of something between a size of a space and a smaller one
+Change = Callable[[int, int], float]
 
 
 class Growth:
@@ -260,7 +260,7 @@ class Growth:
         self.problem = problem
         self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._scales: dict[int, np.ndarray] = {}
-        self._changes: dict[tuple[str, int], dict[int, float]] = {}
+        self._changes: dict[tuple[str, int, int], float] = {}
 
     def to_tolerance(self, problem: Problem) -> float:
         """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
@@ -349,11 +349,12 @@ class Growth:
         error of no vectors. Wider ones would make loose tolerances a hundred times too tight.
         """
         worst, slowest = 0.0, 0.0
-        widths = [w for w in TUNED.widths if size > (w if w <= TUNED.poles else 2 * w)]
-        changes = self._since(change, size, [size - width for width in widths])
-        for width, now in zip(widths, changes, strict=True):
+        for width in TUNED.widths:
+            if size <= (width if width <= TUNED.poles else 2 * width):
+                continue
+            now = self._once(change, size, size - width)
             half = size - width
-            before = self._since(change, half, [half - width])[0] if size > 2 * width else 1.0
+            before = self._once(change, half, half - width) if size > 2 * width else 1.0
             seen = self._reductions.setdefault((change.__name__, width), {})
             seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
             reduction = max(r for when, r in seen.items() if when > size - TUNED.late)
@@ -361,12 +362,12 @@ class Growth:
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
 
-    def _since(self, change: Change, size: int, before: list[int]) -> list[float]:
-        """Changes since some smaller sizes, which several estimates ask for."""
-        known = self._changes.setdefault((change.__name__, size), {})
-        if unknown := [b for b in before if b not in known]:
-            known.update(zip(unknown, change(size, unknown), strict=True))
-        return [known[b] for b in before]
+    def _once(self, change: Change, size: int, before: int) -> float:
+        """A change between two sizes, which several estimates ask for."""
+        key = (change.__name__, size, before)
+        if key not in self._changes:
+            self._changes[key] = change(size, before)
+        return self._changes[key]
 
     def _known(self, size: int) -> np.ndarray:
         """Coefficients (l, k) of the pressure in the space's first vectors."""
@@ -384,41 +385,39 @@ class Growth:
             _keep(self._outputs, size, outputs)
         return self._outputs[size]
 
-    def _output_change(self, size: int, before: list[int]) -> list[float]:
-        """Largest relative change of an output since each of some sizes."""
+    def _output_change(self, size: int, before: int) -> float:
+        """Largest relative change of an output between two sizes."""
         now = self._seen(size)
         if size not in self._scales:
             scale = self.problem.scale(self.source, now)
             self._scales = {size: np.where(scale > 0.0, scale, np.inf)}
-        scale = self._scales[size]
-        moved = [(np.abs(self._seen(b) - now) / scale).max(initial=0.0) for b in before]
-        return _floats(np.array(moved))
+        change = np.abs(now - self._seen(before))
+        change /= self._scales[size]
+        return float(change.max(initial=0.0))
 
-    def _field_change(self, size: int, before: list[int]) -> list[float]:
-        """Largest change of the field since some sizes over the largest field, in the C-norm."""
+    def _field_change(self, size: int, before: int) -> float:
+        """Largest change of the field between two sizes over the largest field, in the C-norm."""
         now = self._known(size)
-        moved = np.zeros(len(before))
-        for k, b in enumerate(before):
-            change = now.copy()
-            change[:, : now.shape[1] - (size - b)] -= self._known(b)
-            moved[k] = np.linalg.norm(change, axis=1).max(initial=0.0)
+        change = now.copy()
+        change[:, : now.shape[1] - (size - before)] -= self._known(before)
         largest = np.linalg.norm(now, axis=1).max(initial=0.0)
-        return _floats(moved / largest) if largest > 0.0 else [0.0] * len(before)
+        moved = np.linalg.norm(change, axis=1).max(initial=0.0)
+        return float(moved / largest) if largest > 0.0 else 0.0
 
-    def _map_change(self, size: int, before: list[int]) -> list[float]:
-        """Largest change of a map since each of some sizes over the largest pressure."""
+    def _map_change(self, size: int, before: int) -> float:
+        """Largest change of a map between two sizes over the largest pressure."""
         now = self.space.modes(size).pressure(self.map_lag)
-        if self.problem.share is None:
+        change = now.copy()
+        change[:, : now.shape[1] - (size - before)] -= self.space.modes(before).pressure(
+            self.map_lag
+        )
+        share = self.problem.share
+        if share is None:
             largest = np.abs(self.space.fields(now)).max(initial=0.0)
         else:
-            largest = self.problem.share.field[self.source]
-        moved = np.zeros(len(before))
-        for k, b in enumerate(before):
-            change = now.copy()
-            known = self.space.modes(b).pressure(self.map_lag)
-            change[:, : now.shape[1] - (size - b)] -= known
-            moved[k] = np.abs(self.space.fields(change)).max(initial=0.0)
-        return _floats(moved / largest) if largest > 0.0 else [0.0] * len(before)
+            largest = share.field[self.source]
+        moved = np.abs(self.space.fields(change)).max(initial=0.0)
+        return float(moved / largest) if largest > 0.0 else 0.0
 
 
 def _keep(known: dict[int, np.ndarray], size: int, values: np.ndarray) -> None:
@@ -429,11 +428,6 @@ def _keep(known: dict[int, np.ndarray], size: int, values: np.ndarray) -> None:
     for old in [one for one in known if one < size - 2 * max(TUNED.widths)]:
         del known[old]
     known[size] = values
-
-
-def _floats(values: np.ndarray) -> list[float]:
-    found: list[float] = values.tolist()
-    return found
 
 
 def _record(
