@@ -23,6 +23,7 @@ from demflow.sweep.analysis.regimes import detect_regimes
 from demflow.sweep.study.reservoir import Rock
 
 WINDOWS = (0.1, 0.2, 0.4)  # L of the derivative: the narrowest that shows radial flow
+ROUNDS = 4  # of a line and what storage leaves beside it, which knows the line's height
 PLOTS = ("mdh", "horner", "superposition")
 Rates = Sequence[tuple[float, float]]
 
@@ -30,9 +31,9 @@ Rates = Sequence[tuple[float, float]]
 class StraightLine(NamedTuple):
     """What the straight line of a flow period says; errors are half widths of 95 % intervals.
 
-    Where the line was found by the derivative, they hold what it moves by when a part that dies
-    away as 1 / Δt is let out, too, as wellbore storage leaves one: without it, 26 of a hundred
-    intervals held the truth of made tests with storage, 88 to 99 with it.
+    Where the line was found by the derivative, what wellbore storage leaves is fitted beside it
+    (`_beside_storage`): of a hundred intervals of made tests with storage 95 to 100 hold the
+    truth, at 0.01 % noise as at 0.1 %.
     """
 
     plot: str
@@ -73,7 +74,7 @@ def straight_line(
     Raises
     ------
     ValueError : another plot, no flow period, a Horner plot of a well that is not shut in, no
-        radial flow, or fewer than three points on the line.
+        radial flow, a line that noise hides, or fewer than three points on it.
     """
     if plot not in PLOTS:
         raise ValueError(f"{plot!r} is none of {', '.join(PLOTS)}")
@@ -99,10 +100,13 @@ def straight_line(
     slope, height, slope_error, skin_error = _line(x, y)
     if slope <= 0.0:
         raise ValueError("the pressure does not follow a logarithm there; look at the derivative")
-    if found and len(x) > 3:
-        other, raised, *_ = _line(x, y, since[on_it][0] / since[on_it])
-        slope_error += abs(other - slope)
-        skin_error += 0.5 * abs(raised / other - height / slope) if other > 0.0 else math.inf
+    if found and len(x) > 4:
+        fading = _logarithms_grow(t[now][on_it], known)
+        slope, height, slope_error, skin_error = _beside_storage(x, y, fading)
+        if slope <= slope_error:
+            raise ValueError(
+                "noise and storage hide the slope of the line; give more points, or `between`"
+            )
     thickness, made = rock.thickness, abs(step) * rock.volume_factor * rock.viscosity
     permeability = made / (4.0 * math.pi * slope * thickness)
     diffusivity = permeability / (rock.porosity * rock.viscosity * rock.compressibility)
@@ -126,6 +130,29 @@ def straight_line(
         end=float(since[on_it][-1]),
         points=int(np.count_nonzero(on_it)),
     )
+
+
+def _beside_storage(
+    x: np.ndarray, y: np.ndarray, fading: np.ndarray
+) -> tuple[float, float, float, float]:
+    """A line, as `_line` gives it, with what wellbore storage leaves at late times beside it.
+
+    The pressure lags by C m x' (x + H − 1) of a line m (x + H), x' = `fading` (Ramey 1970, JPT 22,
+    97–104), C unknown; what comes of a finite radius and of the next order is nearer to C m x'. The
+    line is the mean of those with one and the other let out, whose distance from it is error, too.
+    """
+    fading = fading / np.abs(fading).max()
+    least = _line(x, y, fading)
+    most = least
+    for _ in range(ROUNDS):
+        if most[0] <= 0.0:
+            return most
+        most = _line(x, y, fading * (x + most[1] / most[0] - 1.0))
+    slope, height = (0.5 * (one + other) for one, other in zip(least[:2], most[:2], strict=True))
+    ratios = [0.5 * one[1] / one[0] for one in (least, most)]
+    slope_error, skin_error = (max(pair) for pair in zip(least[2:], most[2:], strict=True))
+    slope_error += 0.5 * abs(least[0] - most[0])
+    return slope, height, slope_error, skin_error + 0.5 * abs(ratios[0] - ratios[1])
 
 
 def _line(x: np.ndarray, y: np.ndarray, *others: np.ndarray) -> tuple[float, float, float, float]:
@@ -197,11 +224,23 @@ def _changes(rates: Rates) -> list[tuple[float, float]]:
 
 def _logarithms(times: np.ndarray, known: list[tuple[float, float]]) -> np.ndarray:
     """Σ (Δqᵢ / Δq_k) of the logarithms of times, as `log_time`, also where the sum falls."""
-    start, rate = np.array(known).T
-    share = np.diff(rate, prepend=0.0) / (rate[-1] - (rate[-2] if len(rate) > 1 else 0.0))
+    start, share = _shares(known)
     since = times[:, None] - start
     since[:, :-1] /= start[-1] - start[:-1]
     return np.asarray(np.log(since) @ share)
+
+
+def _logarithms_grow(times: np.ndarray, known: list[tuple[float, float]]) -> np.ndarray:
+    """What the sum of logarithms grows by in a second, 1/s."""
+    start, share = _shares(known)
+    return np.asarray((1.0 / (times[:, None] - start)) @ share)
+
+
+def _shares(known: list[tuple[float, float]]) -> tuple[np.ndarray, np.ndarray]:
+    """When the rate changed, s, and each change over the last."""
+    start, rate = np.array(known).T
+    share = np.diff(rate, prepend=0.0) / (rate[-1] - (rate[-2] if len(rate) > 1 else 0.0))
+    return start, share
 
 
 def _known_rates(changes: list[tuple[float, float]], plot: str) -> list[tuple[float, float]]:

@@ -81,6 +81,7 @@ def _study(text: str) -> dict[str, object]:
 def folder(tmp_path, monkeypatch):
     """A folder in which pages are followed, with the maps and records that they name."""
     shutil.copytree(ROOT / "studies" / "maps", tmp_path / "maps")
+    shutil.copy(ROOT / "studies" / "build_up.yaml", tmp_path)
     gauge = np.loadtxt(ROOT / "studies/gauges/made_build_up.csv", delimiter=",", skiprows=1)
     gauge /= [parse_quantity("1 h", "s"), parse_quantity("1 psi", "Pa") / 1e3]
     np.savetxt(tmp_path / "gauge.csv", gauge, delimiter=",", header="t [h],p [psi]", comments="")
@@ -139,6 +140,7 @@ def test_the_tutorial_can_be_followed(folder):
             exec(compile("".join(cell["source"]), "analysis.ipynb", "exec"), cells)
     assert cells["values"].shape == (4, 2)
     assert len(cells["table"]) == 8
+    demflow.run(folder / "build_up.yaml", workers=1, smoke=True)
     for text in _blocks(DOCS / "how-to.md", "python"):
         exec(compile(text, "how-to.md", "exec"), {})
 
@@ -206,6 +208,14 @@ def test_every_variable_is_documented():
         *(quantities.SWEEP, quantities.RAGGED, quantities.MAPS),
     ):
         assert not [name for name in table if f"| `{name}` |" not in text]
+
+
+def test_every_figure_of_a_run_is_named():
+    """By the start of its file's name, as the sheet adds it; `_0` and names of wells follow."""
+    text = (DOCS / "gallery.md").read_text()
+    names = re.findall(r'sheet\.add\(f?"(\w+)', (ROOT / "sweep/figures/__init__.py").read_text())
+    assert len(names) > 15
+    assert not [name for name in names if f"`{name}" not in text]
 
 
 def test_every_check_has_its_row():
