@@ -9,7 +9,6 @@ import re
 import signal
 import socket
 import threading
-import time
 from contextlib import ExitStack
 from types import SimpleNamespace
 
@@ -257,7 +256,6 @@ def test_no_scheduler_is_wrong_usage(cluster, tmp_path, monkeypatch, capsys):
             worker,
         )
         for address in wrong:
-            begin = time.monotonic()
             try:
                 status = toys.demflow("run", str(path), *place, "--scheduler", address)
             except SystemExit as wrong_usage:  # of what is no address at all
@@ -266,7 +264,6 @@ def test_no_scheduler_is_wrong_usage(cluster, tmp_path, monkeypatch, capsys):
             *usage, told = capsys.readouterr().err.strip().splitlines()
             assert (address or repr(address)) in told
             assert bool(usage) == ("is no address of a scheduler" in told)
-            assert time.monotonic() - begin < 5.0
     assert "it is a Worker" in told
 
 
