@@ -269,20 +269,45 @@ def test_lattices_that_fit_to_themselves_have_their_closed_form(kind, box):
     np.testing.assert_allclose(found / k, np.eye(2), atol=1e-9)
 
 
+def of_a_ring(factor, size):
+    """Periodic permeability of a square lattice whose pipes along x and y (2, cells) repeat."""
+    net = network(square_lattice(1.2, R, (0.013, 0.021)), region=Rectangle(*size))
+    step = np.round(np.array(size) / (2 * R)).astype(int)
+    cell = np.floor(np.column_stack([net.x, net.y]) / (2 * R) + 1e-6).astype(int)
+    number = np.ravel_multi_index((cell % step).T, step)
+    i, j = net.pipe_from, net.pipe_to
+    along_x = cell[i, 0] != cell[j, 0]
+    first = np.where((cell[i] < cell[j]).any(axis=1), number[i], number[j])
+    opened = scaled(net, factor[np.where(along_x, 0, 1), first])
+    return periodic_permeability(net, opened, viscosity=1.0)
+
+
+def test_layers_that_repeat_are_in_series_and_in_parallel():
+    """Across them the harmonic mean, along them the arithmetic one, exactly."""
+    strength = np.random.default_rng(2).uniform(0.1, 10.0, 9)
+    layers = np.repeat(strength, 7)[None].repeat(2, axis=0)
+    found = of_a_ring(layers, (0.9, 0.7)) * 24 * R
+    means = [1.0 / np.mean(1.0 / strength), np.mean(strength)]
+    np.testing.assert_allclose(found, np.diag(means), rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_dual_of_a_rock_that_repeats_has_the_dual_permeability(seed):
+    """Keller (1964): 1 / g on the pipes that cross makes k into k / det k, for any conductances."""
+    step = (9, 7)
+    x, y = factor = 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, (2, *step))
+    dual = np.array([np.roll(1.0 / y, -1, 0), np.roll(1.0 / x, -1, 1)])
+    here, there = (of_a_ring(f.reshape(2, -1), (0.9, 0.7)) * 24 * R for f in (factor, dual))
+    np.testing.assert_allclose(there, here / np.linalg.det(here), rtol=1e-8, atol=1e-8)
+
+
 @pytest.mark.parametrize("seed", range(3))
 def test_a_rock_that_repeats_has_the_permeability_of_its_torus(seed):
     """Against a dense solve on a lattice that is closed to a ring both ways, any conductances."""
     size = np.array([0.9, 0.7])
-    net = network(square_lattice(1.2, R, (0.013, 0.021)), region=Rectangle(*size))
     step = np.round(size / (2 * R)).astype(int)
-    cell = np.floor(np.column_stack([net.x, net.y]) / (2 * R) + 1e-6).astype(int)
-    number = np.ravel_multi_index((cell % step).T, step)
-    i, j = net.pipe_from, net.pipe_to
-    across = cell[i, 0] != cell[j, 0]  # a pipe along x
-    first = np.where((cell[i] < cell[j]).any(axis=1), number[i], number[j])
     factor = 10.0 ** np.random.default_rng(seed).uniform(-2.0, 2.0, (2, step.prod()))
-    opened = scaled(net, factor[np.where(across, 0, 1), first])
-    found = periodic_permeability(net, opened, viscosity=1.0)
+    found = of_a_ring(factor, size)
 
     g = pipe_conductance(np.array([1.0]), np.array([2 * R]), 1.0)[0] * factor
     nodes = np.arange(step.prod()).reshape(step)

@@ -280,9 +280,12 @@ class Results(Plots):
         }
         return xr.Dataset({**lines, "message": message.astype(str)})
 
-    def permeability(self) -> xr.Dataset:
-        """Return principal permeabilities, direction and anisotropy of each case."""
-        return principal_permeability(self._variable("permeability"))
+    def permeability(self, of: str = "permeability") -> xr.Dataset:
+        """Return principal permeabilities, direction and anisotropy of each case.
+
+        `of` names another tensor of the results, as periodic_permeability.
+        """
+        return principal_permeability(self._variable(of))
 
     def radial_permeability(self, viscosity: xr.DataArray | float) -> xr.DataArray:
         """Permeability that each well's first flow period shows in radial flow, m²; NaN where none.

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from demflow import sweep
 from demflow.sweep.dataset.permeability import members_of, principal
@@ -17,7 +18,7 @@ scene:
 vary:
   opening: {parameter: fractures.f.aperture, values: [20 um, 50 um]}
   seed: {parameter: grains.seed, values: [1, 2, 3]}
-observe: [permeability]
+observe: [permeability, periodic_permeability]
 """
 
 
@@ -65,3 +66,8 @@ def test_the_dataset_has_them_along_the_right_axes(tmp_path):
     np.testing.assert_allclose(dataset["permeability_error"], expected, rtol=1e-12)
     assert dataset["permeability_error"].attrs["ensemble"] == "seed"
     np.testing.assert_array_equal(dataset["ensemble_members"], 3)
+    periodic = dataset.demflow.permeability("periodic_permeability")
+    linear = dataset.demflow.permeability()
+    xr.testing.assert_equal(linear["largest"], dataset["permeability_largest"])
+    assert (periodic["largest"] <= linear["largest"]).all()
+    assert (periodic["smallest"] > 0.0).all()
