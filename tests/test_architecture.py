@@ -99,6 +99,7 @@ DOORS = {  # outer library: the only rooms that may import it
         "sweep.dataset.writer",
     },
     "yaml": {"sweep.study.yaml_source"},
+    "rich": {"sweep.command.progress_line"},
 }
 
 

@@ -1,78 +1,108 @@
-"""How far a run is, as a line on a terminal or in a log."""
+"""How far a run is: bars on a terminal, lines in a log."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 import time
-from typing import TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from demflow.sweep.execution.progress import Progress
 
+if TYPE_CHECKING:
+    from rich.live import Live
+    from rich.table import Table
+
 WAITING_SECONDS = 2.0  # s without any worker before that is told
-BAR = 20  # characters of the bar
+BAR = 20  # characters of a bar
+NARROW = 60  # characters of a terminal below which there are no bars
 STILL_SECONDS = 25.0  # s without progress before that is told: within half a minute
 
 
 class ProgressLine:
-    """Writes `Progress` to a stream: in place on a terminal with a bar, now and then elsewhere.
+    """Writes `Progress` to a stream: in place on a terminal with bars, now and then elsewhere.
 
-    Colours are used on a terminal only, and not where NO_COLOR is set. A line that is wider than
-    the terminal would leave pieces of itself behind: the bar goes first, then the end of the text.
+    On a terminal each stage that has something to run has a bar, too, which the end takes away.
+    Colours are used on a terminal only, and not where NO_COLOR is set.
     """
 
     def __init__(self, stream: TextIO | None = None, every: float = 15.0):
         self.stream = sys.stderr if stream is None else stream
-        self.in_place = self.stream.isatty()
-        self.coloured = self.in_place and not os.environ.get("NO_COLOR")
+        self.in_place = self.stream.isatty() and os.environ.get("TERM") != "dumb"
         self.every = 0.1 if self.in_place else every
         self._last: float | None = None
-        self._text = ""
-        self._width = 0
+        self._told: object = None
+        self._stored: dict[str, int] | None = None  # runs of stages before this run
+        self._live: Live | None = None
 
     def __call__(self, progress: Progress) -> None:
         """Show the state, unless the last one was shown a moment ago."""
         now = time.monotonic()
         early = self._last is not None and now - self._last < self.every
         text = line(progress)
-        if text == self._text or (early and progress.left):
+        told = (text, progress.stages if self.in_place else ())
+        if told == self._told or (early and progress.left):
             return
-        self._last, self._text = now, text
+        self._last, self._told = now, told
         if not self.in_place:
             print(text, file=self.stream, flush=True)
             return
-        text = self._fitted(progress, text)
-        padding = " " * max(self._width - len(text), 0)
-        self._width = len(text)
-        if self.coloured and progress.failed:
-            failed = f"{progress.failed} failed"
-            text = text.replace(failed, f"\033[31m{failed}\033[0m")
-        print(f"\r{text}{padding}", end="", file=self.stream, flush=True)
+        if self._stored is None:
+            self._stored = {one.stage: one.done for one in progress.stages}
+        if self._live is None:
+            self._live = _live(self.stream)
+        self._live.update(self._shown(progress), refresh=True)
 
-    def _fitted(self, progress: Progress, text: str) -> str:
-        """The line with its bar, or what of it the terminal has room for."""
-        room = shutil.get_terminal_size().columns - 1
-        if len(text) + BAR + 1 <= room:
-            return f"{bar(progress, getattr(self.stream, 'encoding', None))} {text}"
-        return text if len(text) <= room else text[: room - 3] + "..."
+    def _shown(self, progress: Progress) -> Table:
+        """The cases, and below them the stages of which some runs were missing at first."""
+        from rich.progress_bar import ProgressBar
+        from rich.table import Table
+        from rich.text import Text
+
+        assert self._live is not None
+        wide = self._live.console.width >= NARROW
+        rows = Table.grid(padding=(0, 1))
+        one_line: dict[str, Any] = {"no_wrap": True, "overflow": "ellipsis"}
+        if wide:
+            rows.add_column(width=BAR)
+        rows.add_column()
+
+        def add(done: int, count: int, text: Text) -> None:
+            full = ProgressBar(
+                max(count, 1), done, BAR, complete_style="blue", finished_style="green"
+            )
+            rows.add_row(*([full] if wide else []), text)
+
+        told = Text(line(progress), **one_line)
+        if progress.failed:
+            told.highlight_words([f"{progress.failed} failed"], "red")
+        add(progress.cases - progress.left, progress.cases, told)
+        for name, done, runs in progress.stages if progress.left else ():
+            if (self._stored or {}).get(name, 0) < runs:
+                add(done, runs, Text(f"{name}: {done} of {runs}", "dim", **one_line))
+        return rows
 
     def close(self) -> None:
-        """End the line that was written in place."""
-        if self.in_place and self._width:
-            print(file=self.stream, flush=True)
-            self._width = 0
+        """End what was written in place."""
+        if self._live is not None:
+            self._live.stop()
+            self._live = None
 
 
-def bar(progress: Progress, encoding: str | None) -> str:
-    """How many of the cases have ended, in `BAR` characters that a stream can write."""
-    try:
-        full, empty = "█░"
-        (full + empty).encode(encoding or "ascii")
-    except (UnicodeEncodeError, LookupError):
-        full, empty = "#-"
-    ended = BAR * (progress.cases - progress.left) // max(progress.cases, 1)
-    return full * ended + empty * (BAR - ended)
+def _live(stream: TextIO) -> Live:
+    """Lines of a terminal that are written anew where they stand."""
+    from rich.console import Console  # imported only where somebody looks
+    from rich.live import Live
+
+    live = Live(
+        console=Console(file=stream, force_jupyter=False, highlight=False),
+        auto_refresh=False,
+        redirect_stdout=False,
+        redirect_stderr=False,
+        vertical_overflow="crop",
+    )
+    live.start()
+    return live
 
 
 def line(progress: Progress) -> str:

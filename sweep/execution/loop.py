@@ -27,7 +27,7 @@ from demflow.sweep.execution.limits import Judge, Verdict
 from demflow.sweep.execution.local import LocalPool
 from demflow.sweep.execution.lots import Lots
 from demflow.sweep.execution.pool import NoAnswerError, Pool, silent_loops
-from demflow.sweep.execution.progress import Progress
+from demflow.sweep.execution.progress import Progress, StageProgress
 from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.execution.signals import kept_from_children, signals_noted
 from demflow.sweep.execution.worker import COMPILING, Outcome, introduce, run_lot
@@ -506,6 +506,7 @@ class _Execution:
             workers=sum(worker.ready for worker in workers),
             deaths=self.report.deaths,
             ending=self.ending,
+            stages=tuple(StageProgress(*one) for one in self.schedule.stages()),
         )
 
 

@@ -5,6 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 
+class StageProgress(NamedTuple):
+    """How many runs of a stage have their product."""
+
+    stage: str
+    done: int
+    runs: int
+
+
 class Progress(NamedTuple):
     """How far a run is, in cases."""
 
@@ -18,6 +26,7 @@ class Progress(NamedTuple):
     workers: int = 0  # that can be used
     deaths: int = 0  # of workers
     ending: bool = False  # whether only what runs already is finished
+    stages: tuple[StageProgress, ...] = ()  # in the order of the table
 
     @property
     def left(self) -> int:

@@ -6,6 +6,7 @@ import functools
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -15,9 +16,9 @@ import pytest
 
 from demflow.sweep import prepared
 from demflow.sweep.command import cli, forecast
-from demflow.sweep.command.progress_line import ProgressLine, bar, duration, line, size
+from demflow.sweep.command.progress_line import ProgressLine, duration, line, size
 from demflow.sweep.dataset.open import open_results
-from demflow.sweep.execution.progress import Progress
+from demflow.sweep.execution.progress import Progress, StageProgress
 from demflow.sweep.store.lock import FolderLock
 from tests.sweep import toy_stages, toys
 
@@ -297,36 +298,66 @@ def test_progress_in_place_and_in_a_log(monkeypatch):
     written.close()
     # the one in between came too soon after the first
     assert log.getvalue().splitlines() == [line(states[0]), line(states[2])]
-    for no_colour in (False, True):
-        monkeypatch.setenv("NO_COLOR", "1" if no_colour else "")
-        screen = Terminal()
-        in_place = ProgressLine(screen)
-        in_place.every = 0.0
-        for state in states:
-            in_place(state)
-        in_place.close()
-        assert screen.getvalue().count("\r") == 3
-        assert screen.getvalue().count("\n") == 1
-        assert ("\033[31m" in screen.getvalue()) is not no_colour
-        assert "##########----------" in screen.getvalue()  # 4 of 8; no encoding but ASCII is known
-    assert bar(states[2], "utf-8") == "█" * 20
-    assert bar(states[0], "latin-1") == "-" * 20
+    monkeypatch.setenv("TERM", "dumb")
+    assert not ProgressLine(Terminal()).in_place
 
 
-@pytest.mark.parametrize("columns", [30, 60, 100])
-def test_a_line_in_place_never_wraps(columns, monkeypatch):
+def shown(screen):
+    """What stands on a terminal at last: lines are left, cleared and written anew."""
+    lines, at = [""], 0
+    for text, code, newline in re.findall(r"([^\x1b\r\n]+)|\x1b\[\??([\d;]*[A-Za-z])|(\n)", screen):
+        if newline:
+            at += 1
+            lines += [""] * (at == len(lines))
+        elif code == "2K":
+            lines[at] = ""
+        elif code.endswith("A"):
+            at -= int(code[:-1])
+        else:
+            lines[at] += text
+    return [line.rstrip() for line in lines]
+
+
+@pytest.mark.parametrize("no_colour", ["", "1"])
+def test_progress_on_a_terminal(no_colour, monkeypatch):
+    monkeypatch.setenv("NO_COLOR", no_colour)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", "80")
+    stages = [StageProgress("pack", 2, 2), StageProgress("stress", 1, 4)]  # packed before
+    begun = Progress(8, 0, 0, None, stages=tuple(stages))
+    going = Progress(8, 3, 1, 61.0, stages=(stages[0], StageProgress("stress", 3, 4)))
+    ended = Progress(8, 7, 1, 0.0, stages=(stages[0], StageProgress("stress", 4, 4)))
+    screen = Terminal()
+    in_place = ProgressLine(screen)
+    in_place.every = 0.0
+    for state, stressed in ((begun, 1), (going, 3), (ended, None)):
+        in_place(state)
+        first, *others = filter(None, shown(screen.getvalue()))
+        assert first.endswith(line(state))
+        assert [one.lstrip("━╸╺ ") for one in others] == [f"stress: {stressed} of 4"] * bool(
+            stressed
+        )
+    in_place.close()
+    assert screen.getvalue().endswith(("\n", "\n\x1b[?25h"))  # and the cursor is there again
+    assert "\x1b[?25h" in screen.getvalue()
+    assert ("\x1b[31m1 failed" in screen.getvalue()) is not bool(no_colour)
+
+
+@pytest.mark.parametrize("columns", [30, 59, 60, 100])
+def test_lines_in_place_never_wrap(columns, monkeypatch):
     monkeypatch.setenv("COLUMNS", str(columns))
     monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
     screen = Terminal()
     in_place = ProgressLine(screen)
     in_place.every = 0.0
     for done in (0, 3, 900):
-        in_place(Progress(1000, done, 1, 61.0, still=40.0, workers=12, deaths=3))
-    written = screen.getvalue().split("\r")[1:]
-    assert len(written) == 3
-    assert all(len(one) < columns for one in written)
-    in_place(Progress(10, 9, 0, 61.0))
-    assert ("#" in screen.getvalue()) is (columns == 100)
+        stage = StageProgress("observe", done, 1000)
+        in_place(Progress(1000, done, 1, 61.0, still=40.0, workers=12, deaths=3, stages=(stage,)))
+        lines = shown(screen.getvalue())
+        assert max(map(len, lines)) <= columns
+        assert sum(map(bool, lines)) == 2
+    assert any(one.startswith("━" * 17) for one in lines) is (columns >= 60)
 
 
 @pytest.mark.parametrize(
