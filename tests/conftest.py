@@ -23,6 +23,24 @@ os.environ.update(cache.variables(_notes))
 
 
 @pytest.fixture(scope="module")
+def forked_workers():
+    """The workers of a module are forked, which costs less than to start them."""
+    from tests import standing  # with all of Dask
+
+    with standing.forked_workers():
+        yield
+
+
+@pytest.fixture
+def spawned_workers():
+    """The workers of one test are started as a user's are."""
+    from tests import standing  # with all of Dask
+
+    with standing.spawned_workers():
+        yield
+
+
+@pytest.fixture(scope="module")
 def one_worker():
     """All runs of a module go to one worker process that stands for as long as the tests do."""
     from tests import standing  # with all of Dask

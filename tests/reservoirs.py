@@ -130,19 +130,41 @@ def dense_matrices(system: System) -> tuple[np.ndarray, np.ndarray]:
     return matrix, system.storage[: system.pores]
 
 
+class Modes(NamedTuple):
+    """The pores' part of a system, decayed into modes; what joins the wells to it."""
+
+    decay: np.ndarray
+    modes: np.ndarray
+    root: np.ndarray
+    beside: np.ndarray
+    wells: np.ndarray
+
+
+_decomposed: dict[int, tuple[System, Modes]] = {}  # the last few: one serves all its sources
+DECOMPOSED_AT_MOST = 4
+
+
+def modes_of(system: System) -> Modes:
+    """The dense eigen-decomposition of a system, which nobody changes."""
+    if id(system) not in _decomposed:
+        matrix, storage = dense_matrices(system)
+        m = system.pores
+        wells, root = np.linalg.inv(matrix[m:, m:]), np.sqrt(storage)
+        reduced = matrix[:m, :m] - matrix[:m, m:] @ wells @ matrix[m:, :m]
+        decay, modes = np.linalg.eigh(reduced / np.outer(root, root))
+        if len(_decomposed) == DECOMPOSED_AT_MOST:
+            del _decomposed[next(iter(_decomposed))]
+        made = Modes(np.maximum(decay, 0.0), modes, root, matrix[:m, m:], wells)
+        _decomposed[id(system)] = system, made
+    return _decomposed[id(system)][1]
+
+
 def exact_response(system: System, source: int, times: np.ndarray) -> np.ndarray:
     """All unknowns (t, n) after a unit step of a source, by dense eigen-decomposition."""
-    matrix, storage = dense_matrices(system)
-    m = system.pores
-    rhs = system.source(source)
-    wells = np.linalg.inv(matrix[m:, m:])
-    reduced = matrix[:m, :m] - matrix[:m, m:] @ wells @ matrix[m:, :m]
-    load = rhs[:m] - matrix[:m, m:] @ (wells @ rhs[m:])
-    root = np.sqrt(storage)
-    decay, modes = np.linalg.eigh(reduced / np.outer(root, root))
-    decay = np.maximum(decay, 0.0)
-    weight = modes.T @ (load / root)
+    decay, modes, root, beside, wells = modes_of(system)
+    m, rhs = system.pores, system.source(source)
+    weight = modes.T @ ((rhs[:m] - beside @ (wells @ rhs[m:])) / root)
     z = np.outer(times, decay)
     grown = np.where(z < 1e-9, times[:, None] * (1 - z / 2), -np.expm1(-z) / np.where(z, decay, 1))
     pores = (grown * weight) @ modes.T / root
-    return np.concatenate([pores, (rhs[m:] - pores @ matrix[:m, m:]) @ wells.T], axis=1)
+    return np.concatenate([pores, (rhs[m:] - pores @ beside) @ wells.T], axis=1)

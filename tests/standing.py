@@ -1,34 +1,80 @@
-"""A worker process that stands for many runs: to start one costs more than most runs take.
+"""Worker processes that cost little: forked from one that has imported all, or standing for long.
 
-How workers are started, killed and left is for the tests of the pools; these use it in none.
+To start one, as a user's run does, takes longer than most runs of the tests. How workers are
+started, killed and left is for the tests of the pools; these use it in none.
 """
 
 from __future__ import annotations
 
+import multiprocessing
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
+from multiprocessing import forkserver
+from typing import Any
 from unittest import mock
 
 from dask import config
 from distributed import LocalCluster
 
 from demflow.sweep.execution.cluster import RemotePool
-from demflow.sweep.execution.local import SETTINGS
+from demflow.sweep.execution.local import ONE_THREAD, SETTINGS, LocalPool
+
+METHOD = "distributed.worker.multiprocessing-method"
+PRELOADED = ["distributed.nanny", "demflow.sweep.execution.worker", "tests.preloaded"]
+
+
+@contextmanager
+def forked_workers() -> Iterator[None]:
+    """Have local workers forked while a `with` block runs."""
+    parent = _fork_server()
+
+    class Forked(LocalPool):
+        """Workers that end with the process from which they are forked, which ends with ours."""
+
+        def __init__(self, workers: int, memory: float | None = None):
+            super().__init__(workers, memory)
+            self.parent = parent
+
+    with (
+        mock.patch.dict(SETTINGS, {METHOD: "forkserver"}),
+        mock.patch("demflow.sweep.execution.loop.LocalPool", Forked),
+    ):
+        yield
+
+
+@contextmanager
+def spawned_workers() -> Iterator[None]:
+    """Have local workers started as a user's are, while a `with` block runs."""
+    with (
+        mock.patch.dict(SETTINGS, {METHOD: "spawn"}),
+        mock.patch("demflow.sweep.execution.loop.LocalPool", LocalPool),
+    ):
+        yield
+
+
+@contextmanager
+def forked_cluster(workers: int, **options: Any) -> Iterator[LocalCluster]:
+    """A scheduler in this process, and workers forked beside it, while a `with` block runs."""
+    with (
+        forked_workers(),
+        config.set({METHOD: "forkserver"}),
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            host="127.0.0.1",
+            dashboard_address="127.0.0.1:0",
+            silence_logs=50,
+            **options,
+        ) as cluster,
+    ):
+        yield cluster
 
 
 @contextmanager
 def one_worker() -> Iterator[None]:
     """Have runs on workers of their own go to one that stands while a `with` block runs."""
-    with (
-        config.set(SETTINGS),
-        LocalCluster(
-            n_workers=1,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            silence_logs=50,
-        ) as cluster,
-    ):
+    with config.set(SETTINGS), forked_cluster(1) as cluster:
 
         class Standing(RemotePool):
             """The worker that stands, which sees the store of every run."""
@@ -41,3 +87,11 @@ def one_worker() -> Iterator[None]:
 
         with mock.patch("demflow.sweep.execution.loop.LocalPool", Standing):
             yield
+
+
+def _fork_server() -> int:
+    """Start the process from which workers are forked, if it does not stand; its number."""
+    multiprocessing.get_context("forkserver").set_forkserver_preload(PRELOADED)
+    with mock.patch.dict(os.environ, ONE_THREAD):
+        forkserver.ensure_running()
+    return forkserver._forkserver._forkserver_pid

@@ -14,7 +14,6 @@ from types import SimpleNamespace
 
 import psutil
 import pytest
-from distributed import LocalCluster
 
 from demflow.model.outcome import Status
 from demflow.sweep.dataset.open import open_results
@@ -24,12 +23,13 @@ from demflow.sweep.execution.cluster import RemotePool
 from demflow.sweep.execution.worker import Lot, Task, run_lot
 from demflow.sweep.store.products import Store, pack, unpack
 from demflow.sweep.store.versions import agreed
+from tests.standing import forked_cluster
 from tests.sweep import toy_stages, toys
 from tests.sweep.clusters import certificate, dask_cluster, extra_worker
 from tests.sweep.processes import products, start, wait_until
 from tests.sweep.test_engine import assert_same_bits
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("forked_workers")]
 
 RATES = (1.0, 2.0, 3.0, 4.0)
 
@@ -41,7 +41,8 @@ def cluster(tmp_path_factory):
         yield started
 
 
-def test_a_cluster_gives_the_same_bits_and_keeps_no_product(cluster, tmp_path):
+def test_a_cluster_gives_the_same_bits_and_keeps_no_product(cluster, tmp_path, monkeypatch):
+    monkeypatch.setattr("demflow.sweep.execution.blame.ATTEMPTS_AT_MOST", 3)
     address, folder = cluster.address, cluster.folder
     rates = (*RATES, toy_stages.RAISES, toy_stages.DIES)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(5e6,), rates=rates)
@@ -84,10 +85,11 @@ def test_a_worker_killed_in_mid_run_costs_no_case(cluster, tmp_path):
 
 
 @pytest.mark.parametrize("rate", [toy_stages.ANSWERS_SLOWLY, toy_stages.DIES_ANSWERING])
-def test_an_answer_that_takes_long_to_come_is_waited_for(tmp_path, rate):
+def test_an_answer_that_takes_long_to_come_is_waited_for(tmp_path, monkeypatch, rate):
+    monkeypatch.chdir(tmp_path)  # where the worker is, too
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, rate, 2.0))
-    with dask_cluster(tmp_path / "processes", workers=1) as cluster:
-        finished = toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    with forked_cluster(1) as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
     assert (finished.failed, finished.executed.computed) == (0, 8)
     assert finished.executed.deaths == (rate == toy_stages.DIES_ANSWERING)
 
@@ -95,8 +97,8 @@ def test_an_answer_that_takes_long_to_come_is_waited_for(tmp_path, rate):
 def test_parents_that_are_too_large_together_for_a_workers_memory_reach_it(tmp_path):
     rates = (1.0, toy_stages.FORGETS, *map(float, range(2, 12)))
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(5e6,), rates=rates)
-    with dask_cluster(tmp_path / "processes", workers=1) as cluster:
-        finished = toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    with forked_cluster(1) as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
     assert (finished.failed, finished.executed.computed) == (0, 2 + 2 * len(rates))
 
 
@@ -271,9 +273,8 @@ def test_a_case_that_outgrows_the_workers_of_a_cluster_says_what_it_needs(tmp_pa
     """Dask's own limit of a worker, of which the study says nothing."""
     rates = (1.0, toy_stages.GROWS, 2.0)
     path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(), rates=rates)
-    options = ("--memory-limit", "300 MB")
-    with dask_cluster(tmp_path / "processes", options=options) as cluster:
-        finished = toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    with forked_cluster(2, memory_limit="300 MB") as cluster:
+        finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
     dataset = open_results(finished.folder)
     ended = {1.0: Status.DONE, 2.0: Status.DONE, toy_stages.GROWS: Status.OUT_OF_MEMORY}
     for rate, status in ended.items():
@@ -298,13 +299,7 @@ def test_workers_too_small_to_import_anything_end_the_run_with_a_word(tmp_path):
 def test_an_adaptive_cluster_gets_its_workers(tmp_path, minimum):
     path = toys.write_study(tmp_path, seeds=(1, 2, 3), stresses=(), rates=(1.0,), seconds=1.5)
     most = []
-    with LocalCluster(
-        n_workers=0,
-        threads_per_worker=1,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        silence_logs=50,
-    ) as cluster:
+    with forked_cluster(0) as cluster:
         cluster.adapt(minimum=minimum, maximum=3, interval="200ms")
         finished = toys.run(
             path,

@@ -25,7 +25,7 @@ from tests.sweep import toy_stages, toys
 from tests.sweep.processes import leftovers, products, start, wait_until
 from tests.sweep.stored import put
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("forked_workers")]
 
 CASES = 2 * 2 * 3
 RUNS = 2 + 4 + 12 + 12  # packs, stresses, flows, observers
@@ -112,7 +112,8 @@ def test_force_computes_everything_again(done):
     assert again.executed.computed == RUNS
 
 
-def test_what_lay_there_before_is_not_taken_for_new_where_a_worker_dies(tmp_path):
+def test_what_lay_there_before_is_not_taken_for_new_where_a_worker_dies(tmp_path, monkeypatch):
+    monkeypatch.setattr("demflow.sweep.execution.blame.ATTEMPTS_AT_MOST", 3)
     rates = (1.0, toy_stages.DIES)
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=rates)
     toys.run(path, tmp_path / "results")

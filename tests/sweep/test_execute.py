@@ -7,22 +7,26 @@ import re
 import signal
 import threading
 import time
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import psutil
 import pytest
-from distributed import LocalCluster
 
 from demflow.model.outcome import Status
 from demflow.model.quantities import SWEEP
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.errors import RunError
+from demflow.sweep.execution.local import LocalPool
+from tests.standing import forked_cluster
 from tests.sweep import toy_stages, toys
 from tests.sweep.processes import products, start, wait_until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("forked_workers")]
 
 POISON = {
     toy_stages.RAISES: (Status.FAILED, "flow: the well is dry; try a smaller rate"),
@@ -203,6 +207,7 @@ def processes() -> list[psutil.Process]:
     return [psutil.Process(), *psutil.Process().children(recursive=True)]
 
 
+@pytest.mark.usefixtures("spawned_workers")
 def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing(tmp_path):
     before = {p.pid for p in processes()}
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, 2.0), seconds=0.8)
@@ -241,6 +246,7 @@ def test_it_listens_on_the_loopback_only_with_one_thread_each_and_leaves_nothing
     assert [p for p in left if "resource_tracker" not in " ".join(p.cmdline())] == []
 
 
+@pytest.mark.usefixtures("spawned_workers")
 def test_workers_killed_from_outside_cost_no_case(tmp_path):
     path = toys.write_study(tmp_path, seeds=(1, 2), stresses=(), rates=HEALTHY, seconds=0.15)
     undisturbed = open_results(toys.run(path, tmp_path / "calm", workers=2).folder)
@@ -273,6 +279,7 @@ def test_workers_killed_from_outside_cost_no_case(tmp_path):
             assert variable.identical(undisturbed[name])
 
 
+@pytest.mark.usefixtures("spawned_workers")
 def test_what_had_finished_when_its_worker_was_killed_is_stored_and_never_runs_again(
     tmp_path, monkeypatch
 ):
@@ -307,13 +314,7 @@ def test_what_had_finished_when_its_worker_was_killed_is_stored_and_never_runs_a
 
 def test_a_running_scheduler_can_be_used(tmp_path):
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0, toy_stages.RAISES))
-    with LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        host="127.0.0.1",
-        dashboard_address="127.0.0.1:0",
-        silence_logs=50,
-    ) as cluster:
+    with forked_cluster(1) as cluster:
         finished = toys.run(path, tmp_path / "results", scheduler=cluster.scheduler_address)
         assert len(cluster.scheduler.workers) == 1  # left as it was found
     assert (finished.cases, finished.failed) == (2, 1)
@@ -329,6 +330,24 @@ def test_local_workers_that_never_stand_end_the_run_with_what_to_do(tmp_path, mo
     path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
     with pytest.raises(RunError, match="try fewer workers"):
         toys.run(path, tmp_path / "results", workers=1)
+
+
+def test_a_run_that_stood_still_before_it_had_a_worker_has_not_waited_for_one(
+    tmp_path, monkeypatch
+):
+    clock = SimpleNamespace(monotonic=time.monotonic, sleep=time.sleep)
+    look = LocalPool.look
+
+    async def stand_still(pool: LocalPool) -> Mapping[str, Mapping[str, Any]]:
+        if clock.monotonic is time.monotonic:
+            clock.monotonic = lambda: time.monotonic() + 1e4
+            return {}
+        return await look(pool)
+
+    monkeypatch.setattr("demflow.sweep.execution.loop.time", clock)
+    monkeypatch.setattr(LocalPool, "look", stand_still)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=(1.0,))
+    assert toys.run(path, tmp_path / "results").failed == 0
 
 
 SILENT = """

@@ -28,7 +28,7 @@ from tests.sweep import marches, toys
 from tests.sweep.toy_stages import DIARY
 from tests.sweep.toy_stages import pack as toy_pack
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("forked_workers")]
 
 STEPS = {  # rates from 0, 10 and 20 s on
     "a": (1.0, 2.0, 3.0),
@@ -141,6 +141,7 @@ def test_what_is_stored_serves_a_later_end_and_a_further_change(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("spawned_workers")
 def test_a_killed_worker_loses_no_finished_leg(tmp_path, monkeypatch):
     """The leg under which it died is run again, those before it are not; the bits are the same."""
     diary = tmp_path / "diary"

@@ -58,6 +58,40 @@ def test_workers_that_something_kills_as_they_start_end_the_run_with_a_word(monk
         asyncio.run(storm(3))
 
 
+async def hung(known: set[int]) -> psutil.Process:
+    """A worker that stands still as it starts."""
+    async with asyncio.timeout(60.0):
+        while not (found := starting(known)):
+            await asyncio.sleep(0.02)
+    found[0].suspend()
+    return found[0]
+
+
+def test_another_takes_the_place_of_a_worker_that_hangs_as_it_starts(monkeypatch):
+    async def numbers(known: set[int]) -> tuple[bool, int]:
+        async with LocalPool(1) as pool:
+            first = await hung(known)
+            monkeypatch.setattr(local, "HUNG_SECONDS", 0.0)
+            await pool.look()
+            monkeypatch.undo()
+            async with asyncio.timeout(60.0):
+                while not (found := await pool.look()):
+                    await asyncio.sleep(0.02)
+            return first.is_running(), len(found)
+
+    with silent_loops():
+        assert asyncio.run(numbers({p.pid for p in starting(set())})) == (False, 1)
+
+
+def test_a_worker_that_hangs_as_it_starts_does_not_outlive_its_run():
+    async def left(known: set[int]) -> psutil.Process:
+        async with LocalPool(1):
+            return await hung(known)
+
+    with silent_loops():
+        assert not asyncio.run(left({p.pid for p in starting(set())})).is_running()
+
+
 def test_no_more_workers_stand_than_have_something_to_do():
     async def numbers() -> list[int]:
         async with LocalPool(2) as pool:
