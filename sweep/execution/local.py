@@ -22,6 +22,7 @@ from demflow.sweep.execution.pool import Pool
 
 START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, where they end by themselves
 KILLED_SECONDS = 120.0  # and where something kills them as they start
+HUNG_SECONDS = 50.0  # without any after which those that are starting are ended, for others
 
 # One thread per worker, whatever library it comes from; set before the workers start.
 THREADS = "NUMBA_NUM", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"
@@ -67,7 +68,7 @@ class LocalPool(Pool):
     """
 
     shares_store = True
-    patience = 60.0
+    patience = 120.0
     look_every = 0.2
 
     def __init__(self, workers: int, memory: float | None = None):
@@ -76,7 +77,7 @@ class LocalPool(Pool):
         self.workers, self.memory = workers, memory
         self._wanted = 1
         self._started = False  # whether a worker ever stood
-        self._begin = time.monotonic()
+        self._begin = self._seen = time.monotonic()
         self._failures = 0  # to start one, before that, which nobody killed
         self.cluster: Any = None
 
@@ -108,6 +109,10 @@ class LocalPool(Pool):
         found: Mapping[str, Mapping[str, Any]]
         found = self.cluster.scheduler.identity()["workers"]
         self._started = self._started or bool(found)
+        if found or time.monotonic() - self._seen > HUNG_SECONDS:
+            self._seen = time.monotonic()
+            if not found:
+                self._kill_all()
         self._replace_fallen()
         return found
 
@@ -164,8 +169,7 @@ class LocalPool(Pool):
             await asyncio.wait({leaving}, timeout=patience)
             if leaving.done():
                 break
-            for nanny in self._nannies():  # they know by now that we leave, and start no others
-                _kill(nanny)
+            self._kill_all()  # they know by now that we leave, and start no others
         self._config.__exit__(None, None, None)
 
     async def _leave(self) -> None:
@@ -177,7 +181,13 @@ class LocalPool(Pool):
             await self.cluster.close(timeout=20)
 
     def _nannies(self) -> list[Any]:
-        return list(self.cluster.workers.values()) if self.cluster else []
+        """Those whose worker is still starting too, of which the cluster does not know yet."""
+        own = self.cluster.scheduler_address if self.cluster else None
+        return [nanny for nanny in Nanny._instances if nanny.scheduler_addr == own]
+
+    def _kill_all(self) -> None:
+        for nanny in self._nannies():
+            _kill(nanny)
 
 
 class _Nanny(Nanny):

@@ -426,11 +426,12 @@ class _Execution:
         while not self.over.done():
             listed = await self.pool.look()
             now = time.monotonic()
-            late = now - looked - self.pool.look_every
+            if (late := now - looked - self.pool.look_every) > STOPPED_SECONDS:
+                self._stood(late)  # Ctrl-Z, or a machine that slept
             self.watched += len(self.workers) * (now - looked)
             looked = now
             for address in self.workers.keys() | listed.keys():
-                self._look_at(address, listed.get(address), max(0.0, late), now)
+                self._look_at(address, listed.get(address), now)
             self._look_at_all(now)
             self.schedule.share_out(len(self.workers), self.judge.limits.time)
             wanted = self.schedule.wanted()
@@ -440,9 +441,13 @@ class _Execution:
                 self.pool.ask_for(wanted)
             await asyncio.sleep(self.pool.look_every)
 
-    def _look_at(
-        self, address: str, known: Mapping[str, Any] | None, late: float, now: float
-    ) -> None:
+    def _stood(self, seconds: float) -> None:
+        """The whole run has stood still: that is no case's time, and no worker's to start in."""
+        self.alive += seconds
+        for worker in self.workers.values():
+            worker.begin += seconds
+
+    def _look_at(self, address: str, known: Mapping[str, Any] | None, now: float) -> None:
         worker = self.workers.get(address)
         if worker is None:
             if known and now - self.buried.get(address, -DEAD_SECONDS) >= DEAD_SECONDS:
@@ -455,8 +460,6 @@ class _Execution:
                 del self.workers[address]
         else:
             worker.known = known
-            if late > STOPPED_SECONDS:  # Ctrl-Z, or a machine that slept: no case's time
-                worker.begin += late
             if worker.runs and (verdict := self._excess(worker, now)):
                 self._end(worker, verdict)
 

@@ -74,8 +74,7 @@ for line in sys.stdin:
         except BaseException:
             import traceback
             traceback.print_exc()
-        sys.stdout.flush(); sys.stderr.flush()
-        os._exit(status)
+        sys.exit(status)  # as a program ends: what it shares with others is given back
     print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), flush=True)
 """
 
