@@ -19,7 +19,7 @@ HOUR = 3600.0
 RATES = ((0.0, 1e-3), (5 * HOUR, 4e-4), (12 * HOUR, 2e-3), (40 * HOUR, 0.0))
 
 
-def record(rates, skin=SKIN, last=300 * HOUR, **more):
+def record(rates, skin=SKIN, last=300 * HOUR, model="homogeneous", **more):
     begin = rates[-1][0]
     times = np.append(begin, begin + np.geomspace(1.0, last, 120))
     values = {
@@ -27,9 +27,9 @@ def record(rates, skin=SKIN, last=300 * HOUR, **more):
         "drift": 0.0,
     } | more  # fmt: skip
     if begin == 0.0:
-        late = Superposed(times[1:], rates).pressure(MODELS["homogeneous"], ROCK, values)
+        late = Superposed(times[1:], rates).pressure(MODELS[model], ROCK, values)
         return times, np.append(START, late)
-    return times, Superposed(times, rates).pressure(MODELS["homogeneous"], ROCK, values)
+    return times, Superposed(times, rates).pressure(MODELS[model], ROCK, values)
 
 
 @pytest.mark.parametrize("skin", [0.0, SKIN])
@@ -97,20 +97,46 @@ def test_errors_of_a_line_that_is_found_hold_what_storage_leaves(rates, noise):
     """The derivative is flat within its tolerance before storage has died away."""
     rng = np.random.default_rng(3)
     storages = np.geomspace(1e-9, 3e-8, 40)
-    held_k, held_skin, off, width = 0, 0, [], []
+    held_k, held_skin, off, width, told = 0, 0, [], [], []
     for storage, skin in zip(storages, rng.permutation(np.linspace(0.0, 8.0, 40)), strict=True):
         times, pressure = record(rates, skin, wellbore_storage=storage)
         noisy = pressure + rng.normal(0.0, noise * np.ptp(pressure), len(times))
-        found = straight_line(times, noisy, rates, ROCK)
+        try:
+            found = straight_line(times, noisy, rates, ROCK)
+        except ValueError as error:
+            told.append(str(error))
+            continue
         off.append(abs(found.permeability / K - 1.0))
         width.append(found.permeability_error / K)
         held_k += off[-1] <= width[-1]
         held_skin += abs(found.skin_factor - skin) <= found.skin_error
-    assert held_k >= 36
-    assert held_skin >= 36
+    assert len(told) <= (10 if noise == 1e-3 else 0)
+    assert all("hide the slope" in one or "no radial flow" in one for one in told)
+    assert held_k >= 0.9 * len(off)
+    assert held_skin >= 0.9 * len(off)
     if noise < 1e-3:  # what storage leaves moves a line without it by 1 %
         assert max(off) < 5e-3
         assert np.median(width) < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("model", "parameter", "nearest"),
+    [("fault", "distance", 150.0), ("closed_circle", "radius", 200.0)],
+)
+def test_errors_of_a_build_up_hold_what_the_drawdown_felt_of_a_boundary(model, parameter, nearest):
+    """It is some 2 % of k, ten times what the scatter of the points tells."""
+    rng = np.random.default_rng(4)
+    rates = ((0.0, 1e-3), (40 * HOUR, 0.0))
+    held, off = 0, []
+    for place in np.geomspace(nearest, 3.0 * nearest, 20):
+        values = {parameter: place, "wellbore_storage": 3e-9}
+        times, pressure = record(rates, model=model, **values)
+        noisy = pressure + rng.normal(0.0, 1e-4 * np.ptp(pressure), len(times))
+        found = straight_line(times, noisy, rates, ROCK)
+        off.append(abs(found.permeability / K - 1.0))
+        held += off[-1] <= found.permeability_error / K
+    assert np.median(off) > 5e-3
+    assert held >= 16
 
 
 def test_a_line_that_noise_hides_is_refused():
