@@ -112,6 +112,8 @@ class RateForms(Section):
             times.append(date)
             plain.append(Sequence(item.place, (Scalar(item.place, "0"), *item.items[1:])))
         rates = self.pairs.read(Sequence(node.place, tuple(plain)), path, reading)
+        if len(rates) < len(times):
+            return Dated()  # a rate that cannot be read was told
         return Dated(zip(times, (rate for _, rate in rates), strict=True))
 
     def find(self, values: Any, parts: tuple[str, ...]) -> Parameter:

@@ -147,6 +147,7 @@ def test_a_list_of_rates_has_dates_where_the_pressures_have(tmp_path):
         (RATES.removeprefix("rates: "), "the pressures have dates, and so must the rates"),
         (dated.replace("2024-05-17 08:00:00", "1 h"), "so each is a date"),
         (dated.replace("0 bbl/d", "0 psi"), "is a pressure"),
+        (dated.replace("100 bbl/d", "1e300 bbl/d"), "up to which numbers are computed with"),
         (dated.replace(", 0 bbl/d", ""), "is a list of 2 values"),
         (dated.replace("17 08", "16 08"), "the times must increase"),
     ):
