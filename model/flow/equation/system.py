@@ -20,10 +20,12 @@ from demflow.model.flow.equation.wells import (
     Edges,
     Wells,
     join_wells,
+    joints_of,
     pores_of_wells,
     with_skin,
 )
 from demflow.model.flow.equation.wells_by_traces import cuts_by_wells
+from demflow.model.flow.linear.kept import Kept
 from demflow.model.network.connectivity import reached
 from demflow.model.network.fractures.subdivide import Cuts, cuts_of, joined_cuts, subdivide
 from demflow.model.outcome import ModelError
@@ -165,7 +167,9 @@ def assemble(
     order = np.argsort(last_empty)
     drilled = tuple(w for w in wells if isinstance(w, WellSite))
     ends = (*(w.name for w in wells if isinstance(w, InflowSite)), *sides)  # of pipes at the rim
-    placed = _placed(network, apertures, region, drilled, ends)
+    side_source = sources_of_sides(region, ends)
+    rock, cuts = _rock(network, apertures, side_source[network.cut_side], len(drilled))
+    placed, joints = _drilled(network, apertures, region, drilled, side_source, rock)
     well_of = np.append(np.full(len(network.x), -1), wells_of_nodes(apertures, drilled))
     for k in reversed(range(len(drilled))):
         well_of[placed.taken[k]] = k
@@ -175,7 +179,7 @@ def assemble(
     d, w = len(well_of), len(wells)
     inside = np.append(network.inside, np.ones(len(apertures.node_x), dtype=bool))
     terminal = np.where(well_of >= 0, d + well_of, np.where(inside, np.arange(d), -1))
-    side = _sides_of_nodes(apertures, sources_of_sides(region, ends))
+    side = _sides_of_nodes(apertures, side_source)
     terminal[len(network.x) :][side >= 0] = d + len(drilled) + side[side >= 0]
     if at_side is not None:
         stands = np.flatnonzero((at_side >= 0) & (well_of[: len(at_side)] < 0))
@@ -183,7 +187,8 @@ def assemble(
     held = np.full(d + w + len(sides), -1)  # the source that fixes a terminal's pressure
     held[d + w :] = np.arange(len(sides))
     held[[d + k for k in pressure_wells]] = len(sides) + np.arange(len(pressure_wells))
-    a, b, g = _connections(network, apertures, region, placed, ends, terminal)
+    rock = join_wells(rock, network, placed, joints)
+    a, b, g = _connections(network, apertures, region, placed, side_source, terminal, rock, cuts)
     a, b = np.where(held[a] >= 0, b, a), np.where(held[a] >= 0, a, b)
     free, link = held[b] < 0, (held[a] < 0) & (held[b] >= 0)
     between = held[a] >= 0
@@ -249,15 +254,52 @@ def _check_numbers(network: Network, apertures: Apertures) -> None:
         )
 
 
+def _drilled(
+    network: Network,
+    apertures: Apertures,
+    region: Region,
+    wells: tuple[WellSite, ...],
+    side_source: np.ndarray,
+    rock: Edges,
+) -> tuple[Wells, Edges]:
+    """The wells in the rock, and what joins them to the pores and sides around.
+
+    Cases that differ in traces or rates share it; the last few are kept.
+    """
+    taken = pores_of_wells(network, wells)
+    fixed = side_source >= 0
+
+    def make() -> tuple[Wells, Edges]:
+        placed = _placed(network, apertures, region, wells, taken, fixed)
+        return placed, joints_of(rock, network, placed)
+
+    if not wells:
+        return Wells((), [], [], np.zeros(0), np.zeros(0)), rock.only(np.zeros(0, dtype=int))
+    read = (
+        *(network.x, network.y, network.area, network.inside, network.pipe_from, network.pipe_to),
+        *(network.cut, network.cut_inside, network.cut_outside, network.cut_side),
+        *(network.cut_fraction, side_source, *taken),
+        *(apertures.conductance, apertures.cut_conductance, apertures.on_fracture),
+    )
+    return _kept_wells.get((*read, region, wells), make)
+
+
+# What joins wells to the rock takes this many bytes at most, beside the last case's.
+KEPT_BYTES = 1 << 24
+_kept_wells: Kept[tuple[Wells, Edges]] = Kept(
+    KEPT_BYTES, lambda made: sum(array.nbytes for array in (*made[0].taken, *made[1]))
+)
+
+
 def _placed(
     network: Network,
     apertures: Apertures,
     region: Region,
     wells: tuple[WellSite, ...],
-    sides: tuple[str, ...],
+    taken: list[np.ndarray],
+    fixed: np.ndarray,
 ) -> Wells:
-    """The pores of each well, and the field that it would have in uniform rock."""
-    fixed = sources_of_sides(region, sides) >= 0
+    """The field that each well would have in uniform rock."""
     fields: list[WellField | GroundedField | None] = []
     mean, apart = np.zeros(len(wells)), np.zeros(len(wells))
     for k, well in enumerate(wells):
@@ -274,7 +316,7 @@ def _placed(
         alone = np.empty((0, 2))
         beside = len(field.image) > 0
         fields.append(grounded_field(field, alone, alone, region, fixed) if beside else field)
-    return Wells(wells, pores_of_wells(network, wells), fields, mean, apart)
+    return Wells(wells, taken, fields, mean, apart)
 
 
 def _connections(
@@ -282,21 +324,23 @@ def _connections(
     apertures: Apertures,
     region: Region,
     wells: Wells,
-    sides: tuple[str, ...],
+    side_source: np.ndarray,
     terminal: np.ndarray,
+    joined: Edges,
+    cuts: Cuts,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Conductances between terminals: pipes, rock along sealed sides, branches of traces."""
-    side_source = sources_of_sides(region, sides)
-    edges, cuts = _rock(network, apertures, side_source[network.cut_side], len(wells.sites))
-    joined = join_wells(edges, network, wells)
+    """Conductances between terminals: rock and wells `joined`, cut by traces, and their branches.
+
+    `cuts` are those of the rock without wells.
+    """
     cuts = cuts.along(joined.way, joined.turned)
     cuts, links = cuts_by_wells(cuts, joined, network, apertures, wells, region, side_source >= 0)
     # nodes of traces are numbered after the pores
     nodes = len(apertures.node_x)
     a, b = (np.where(t >= len(network.x), t + nodes, t) for t in (joined.a, joined.b))
     a, b, g = subdivide(a, b, joined.g, cuts, len(network.x))
-    first_well = len(terminal)
-    places = np.append(terminal, np.arange(first_well, first_well + len(wells.sites) + len(sides)))
+    first_well, sides = len(terminal), int(side_source.max(initial=-1)) + 1
+    places = np.append(terminal, np.arange(first_well, first_well + len(wells.sites) + sides))
     p, q, along = branches(apertures, wells.sites, len(network.x), first_well)
     p = np.concatenate([a, p, [len(network.x) + link.node for link in links]]).astype(np.int64)
     q = np.concatenate([b, q, [first_well + link.well for link in links]]).astype(np.int64)

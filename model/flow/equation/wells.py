@@ -114,7 +114,7 @@ def pores_of_wells(network: Network, wells: tuple[WellSite, ...]) -> list[np.nda
     return taken
 
 
-def join_wells(edges: Edges, network: Network, wells: Wells) -> Edges:
+def join_wells(edges: Edges, network: Network, wells: Wells, joints: Edges) -> Edges:
     """Edges between terminals with the wells in place of the pores that they take.
 
     Parameters
@@ -122,19 +122,34 @@ def join_wells(edges: Edges, network: Network, wells: Wells) -> Edges:
     edges : connections between terminals, before
     network : pores and pipes of the matrix
     wells : the wells
+    joints : what joins them to what is around, as `joints_of` gives it
     """
-    if not wells.sites:
-        return edges
-    d = len(network.x)
-    owner = np.full(max(d, int(edges.b.max(initial=0)) + 1), -1)
+    owner = _owners(edges, network, wells)
+    rest = edges.only((owner[edges.a] < 0) & (owner[edges.b] < 0))
+    return Edges(*(np.concatenate(columns) for columns in zip(rest, joints, strict=True)))
+
+
+def _owners(edges: Edges, network: Network, wells: Wells) -> np.ndarray:
+    """The well that takes each terminal, −1 none."""
+    owner = np.full(max(len(network.x), int(edges.b.max(initial=0)) + 1), -1)
     for k in reversed(range(len(wells.sites))):
         owner[wells.taken[k]] = k
+    return owner
+
+
+def joints_of(edges: Edges, network: Network, wells: Wells) -> Edges:
+    """What joins the wells to the pores and sides around, and to one another.
+
+    Parameters
+    ----------
+    edges : connections between terminals without wells
+    network : pores and pipes of the matrix
+    wells : the wells
+    """
+    d, owner = len(network.x), _owners(edges, network, wells)
     touching = _both_ways(edges.only((owner[edges.a] >= 0) | (owner[edges.b] >= 0)), network)
     along = touching.only((touching.pipe >= 0) & (owner[touching.a] >= 0))
-    parts = [
-        edges.only((owner[edges.a] < 0) & (owner[edges.b] < 0)),
-        _along_fractures(along, network, wells, owner),
-    ]
+    parts = [_along_fractures(along, network, wells, owner)]
     rock, touching = edges.only(edges.pipe < 0), touching.only(touching.pipe < 0)
     for group in _groups(touching, wells, d):
         ours = np.isin(owner, group.members)

@@ -10,14 +10,13 @@ Softw. 15, 291–309).
 
 from __future__ import annotations
 
-import hashlib
-from collections import OrderedDict
 from typing import NamedTuple
 
 import numpy as np
 
 from demflow.model.compile import Array, kernel
 from demflow.model.flow.linear.graph import graph_of, inverse, renumbered
+from demflow.model.flow.linear.kept import Kept
 from demflow.model.flow.linear.ordering import minimum_degree
 
 # Fronts join while explicit zeros are at most this part of their entries: small ones save
@@ -71,31 +70,13 @@ def analyse(n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:
     i : first ends of the edges, (e,) int
     j : second ends, (e,) int
     """
-    digest = hashlib.blake2b(n.to_bytes(8, "little"))
-    for end in (i, j):
-        digest.update(np.ascontiguousarray(end, dtype=np.int64).tobytes())
-    return _kept.get(digest.digest(), n, i, j)
+    return _kept.get(
+        (n, np.asarray(i, dtype=np.int64), np.asarray(j, dtype=np.int64)),
+        lambda: analyse_anew(n, i, j),
+    )
 
 
-class _Kept:
-    """The analyses used last, up to a number of bytes, and always the very last."""
-
-    def __init__(self) -> None:
-        self.analyses: OrderedDict[bytes, Symbolic] = OrderedDict()
-
-    def get(self, key: bytes, n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:
-        """The analysis of a graph, made where it is not there."""
-        if key not in self.analyses:
-            self.analyses[key] = analyse_anew(n, i, j)
-        self.analyses.move_to_end(key)
-        sizes = [sum(np.asarray(a).nbytes for a in s) for s in self.analyses.values()]
-        while len(sizes) > 1 and sum(sizes) > KEPT_BYTES:
-            self.analyses.popitem(last=False)
-            del sizes[0]
-        return self.analyses[key]
-
-
-_kept = _Kept()
+_kept: Kept[Symbolic] = Kept(KEPT_BYTES, lambda s: sum(np.asarray(array).nbytes for array in s))
 
 
 def analyse_anew(n: int, i: np.ndarray, j: np.ndarray) -> Symbolic:

@@ -324,9 +324,16 @@ def _substitute(
             for r in range(k + 1, width):
                 xk += lower[t + r] * x[begin + r]
             t += width
-            for r in range(m):
+            # one sum would wait for each of its terms
+            s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
+            for r in range(0, m - 3, 4):
+                s0 += lower[t + r] * below[r]
+                s1 += lower[t + r + 1] * below[r + 1]
+                s2 += lower[t + r + 2] * below[r + 2]
+                s3 += lower[t + r + 3] * below[r + 3]
+            for r in range(m - m % 4, m):
                 xk += lower[t + r] * below[r]
-            x[begin + k] = xk
+            x[begin + k] = xk + ((s0 + s1) + (s2 + s3))
 
 
 @kernel
