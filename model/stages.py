@@ -488,7 +488,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=22,
+        version=23,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows and not s.coupled,

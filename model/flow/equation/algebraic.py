@@ -14,6 +14,10 @@ from scipy.sparse import csr_array
 from demflow.model.flow.equation.system import System
 from demflow.model.outcome import ModelError
 
+# Up to so many wells their conductances are a dense matrix: what a sparse one takes for each
+# product would be most of its time.
+DENSE = 4
+
 
 class Algebraic(NamedTuple):
     """The wells that store nothing as functions of the unknowns that do."""
@@ -21,7 +25,7 @@ class Algebraic(NamedTuple):
     inverse: np.ndarray  # (w, w) K_ww⁻¹
     near: np.ndarray  # (k,) pores that wells meet, of
     pores: int  # unknowns that store
-    coupling: csr_array  # (w, k) conductances G_wd > 0
+    coupling: csr_array | np.ndarray  # (w, k) conductances G_wd
 
     def follow(self, pores: np.ndarray) -> np.ndarray:
         """Pressures of the wells that follow those of the pores (pores, …), (w, …)."""
@@ -70,7 +74,11 @@ def algebraic(system: System) -> Algebraic:
             "or give the matrix an aperture"
         )
     near, place = np.unique(np.concatenate(columns), return_inverse=True)
-    coupling = csr_array(
-        (np.concatenate(values), (np.concatenate(rows), place)), shape=(wells, len(near))
-    )
+    row, value = np.concatenate(rows), np.concatenate(values)
+    coupling: csr_array | np.ndarray
+    if wells <= DENSE:
+        coupling = np.zeros((wells, len(near)))
+        np.add.at(coupling, (row, place), value)
+    else:
+        coupling = csr_array((value, (row, place)), shape=(wells, len(near)))
     return Algebraic(np.linalg.inv(matrix) if wells else matrix, near, pores, coupling)

@@ -87,8 +87,10 @@ class Problem(NamedTuple):
         out = np.bincount(system.fixed_source, weights=system.fixed_g * field[system.fixed_node])
         return float(field.max(initial=0.0)), float(out.max(initial=0.0))
 
-    def scale(self, source: int, output: np.ndarray) -> np.ndarray:
+    def scale(self, source: int, output: np.ndarray, at: np.ndarray | None = None) -> np.ndarray:
         """Size (l, o) with which the error of each output is compared; 0 where it does not count.
+
+        The outputs are those at the lags `at` (l,), else at the last ones.
 
         The well that is the source is compared at every lag with its own pressure change,
         anything else with the largest value that it takes, or where it takes next to none
@@ -96,23 +98,26 @@ class Problem(NamedTuple):
         Where the problem shares the error of sums out between sources, with its `share`.
         """
         if self.share is not None:
-            size = self.share.output[source, len(self.lag) - len(output) :].copy()
+            every = self.share.output[source]
+            size = every[len(every) - len(output) :].copy() if at is None else every[at]
             if (well := self.own_well(source)) is not None:
-                own_size = np.abs(output[:, well]) / len(self.active_sources)
+                own_size = np.abs(output[:, well]) / np.count_nonzero(self.active)
                 size[:, well] = np.maximum(size[:, well], own_size)
             return size
-        records = self.records
-        is_flow = np.zeros(output.shape[1], dtype=bool)
-        is_flow[records.well_rows : records.well_rows + records.flow_rows] = True
-        size = np.broadcast_to(np.abs(output).max(axis=0, initial=0.0), output.shape).copy()
+        wells, last = self.records.well_rows, self.records.well_rows + self.records.flow_rows
+        every = np.abs(output)
+        largest = every.max(axis=0, initial=0.0)
         own_well = self.own_well(source)
         own_pressure, own_flow = self.own_size(source)
-        for kind, own in ((is_flow, own_flow), (~is_flow, own_pressure)):
-            largest = np.max(size[:, kind], initial=own)
-            size[:, kind] = np.maximum(size[:, kind], FAINT * largest)
+        flows, others = largest[wells:last], np.append(largest[:wells], largest[last:])
+        least = FAINT * others.max(initial=own_pressure)
+        size = np.empty(output.shape)
+        size[:] = np.maximum(largest, least)
+        size[:, wells:last] = 0.0
+        if self.check_flows:
+            size[:, wells:last] = np.maximum(flows, FAINT * flows.max(initial=own_flow))
         if own_well is not None:
-            size[:, own_well] = np.abs(output[:, own_well])
-        size[:, is_flow & (not self.check_flows)] = 0.0
+            size[:, own_well] = every[:, own_well]
         return size
 
 
@@ -179,6 +184,36 @@ def fill_map(problem: Problem, source: int, fields: np.ndarray) -> np.ndarray:
     result[:, known] = fields[:, node[known]]
     result[:, fixed == source] = 1.0
     return result
+
+
+def fill_maps(
+    problem: Problem,
+    source: int,
+    coefficients: np.ndarray,
+    vectors: np.ndarray,
+    direct: np.ndarray,
+    maps: np.ndarray,
+) -> None:
+    """Fill maps (l, m) of fields that a basis spans, for a unit source (in place).
+
+    Parameters
+    ----------
+    problem : what is solved
+    source : number of the source: fixed pressures and wells
+    coefficients : of the basis at each lag, (l, k)
+    vectors : basis as pressures of the unknowns, (n, k)
+    direct : what the source adds to each unknown by itself, (n,) Pa
+    maps : pressures of the mapped domains, (l, m) Pa
+    """
+    node, fixed = map_rows(problem.system, problem.domain)
+    known = node >= 0
+    if known.all():  # of no row of the basis is a field made that no map shows
+        np.matmul(coefficients, vectors[node].T, out=maps)
+        (own,) = np.nonzero(direct[node])
+        maps[:, own] += direct[node[own]]
+    else:
+        maps[:, known] = coefficients @ vectors[node[known]].T + direct[node[known]]
+    maps[:, fixed == source] = 1.0
 
 
 def relative_residual(system: System, rhs: np.ndarray, rate: np.ndarray, p: np.ndarray) -> float:

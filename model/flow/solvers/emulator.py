@@ -38,7 +38,7 @@ from demflow.model.flow.linear.factor import Factor, analyse, factorise, solve
 from demflow.model.flow.solvers.affine import Share, Terms
 from demflow.model.flow.solvers.contour import Contour, contour
 from demflow.model.flow.solvers.krylov import balanced
-from demflow.model.flow.solvers.share import shared_out
+from demflow.model.flow.solvers.share import Rough, shared_out, told
 from demflow.model.flow.solvers.subspace import Basis, Modes
 from demflow.model.memory import foresee
 from demflow.model.outcome import ModelError
@@ -321,8 +321,9 @@ def _in_time(
     return list(zip(largest.tolist(), worst, strict=True))
 
 
-def _given(answer: Answer, _: Problem) -> Answer:
-    return answer
+def _given(answer: Answer, problem: Problem) -> Rough:
+    sources = problem.active_sources
+    return Rough(answer.output, {k: answer.pressure[k, told(problem, k)] for k in sources})
 
 
 def counted_outputs(problem: Problem) -> np.ndarray:

@@ -28,11 +28,12 @@ from demflow.model.flow.equation.problem import (
     Problem,
     empty_answer,
     fill_map,
+    fill_maps,
     flow_noise,
 )
 from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise
-from demflow.model.flow.solvers.share import shared_out
+from demflow.model.flow.solvers.share import Rough, shared_out, told
 from demflow.model.flow.solvers.subspace import MOST_VECTORS, Basis, Subspace
 from demflow.model.network.connectivity import reached
 from demflow.model.outcome import ModelError
@@ -53,7 +54,8 @@ class Tuning(NamedTuple):
     late: int = 8  # sizes over which the slowest reduction counts: errors fall by stairs at times
     caution: float = 2.5  # reductions are not even; the estimate is taken this much larger
     fall: float = 0.1  # an estimate is at least this part of the one before: stairs again
-    map_checks: int = 8  # lags at which maps are compared; their error changes slowly in time
+    lag_checks: int = 6  # lags of a decade at which outputs are compared, …
+    map_checks: int = 8  # … and of all these at which maps are; errors change slowly in time
 
     # when to estimate
     stride: float = 0.3  # part of the way to the tolerance, at the rate seen, between estimates …
@@ -90,7 +92,7 @@ def krylov(problem: Problem) -> Answer:
     return grown.answer(shared_out(problem, grown.rough))
 
 
-def rough(problem: Problem) -> Answer:
+def rough(problem: Problem) -> Rough:
     """Outputs and maps alone, by spaces as they grow. Raises `ModelError` as `krylov` does."""
     return Grown(problem).rough(problem)
 
@@ -106,18 +108,18 @@ class Grown:
         self.factors = Factors(self.system, self.drained)
         self._kept: dict[int, Growth] = {}
 
-    def rough(self, problem: Problem) -> Answer:
+    def rough(self, problem: Problem) -> Rough:
         """Outputs and maps to the tolerance of a problem that differs in no more than that."""
-        answer = empty_answer(problem)
-        bytes_kept = 0
+        shape = problem.system.source_count, len(problem.lag), problem.records.rows.shape[0]
+        found, bytes_kept = Rough(np.zeros(shape), {}), 0
         for k in problem.active_sources:
             growth = self._growth(k)
             growth.to_tolerance(problem)
-            growth.fill(answer)
+            growth.fill(found)
             bytes_kept += growth.space.bytes
             if bytes_kept <= KEPT_BYTES:
                 self._kept[k] = growth
-        return answer
+        return found
 
     def answer(self, problem: Problem) -> Answer:
         """All to the tolerance, every source held to what the problem says of its share."""
@@ -247,9 +249,10 @@ class Growth:
         self.problem, self.source, self.space, self.poles = problem, source, space, poles
         self.direct, self.own_flow = direct, own_flow
         self.recorded = problem.records.rows @ direct + problem.records.direct[source]
-        self.lag = problem.lag[problem.lag > 0]
+        self.at = _judged(problem.lag)
+        self.lag = problem.lag[self.at]
         some = np.unique(np.linspace(0, len(self.lag) - 1, TUNED.map_checks).astype(int))
-        self.map_lag = self.lag[some] if len(problem.domain) else self.lag[:0]
+        self.map_lag = some if len(problem.domain) else some[:0]  # of these lags
         self.far = problem.far(source)
         self._coefficients: dict[int, np.ndarray] = {}
         self._outputs: dict[int, np.ndarray] = {}
@@ -296,13 +299,8 @@ class Growth:
             if error <= tolerance:
                 return error
             seen[size] = error
-            late = [e for when, e in seen.items() if when > size - TUNED.idle]
-            early = list(seen.values())[: -len(late)]
-            gained = not early or min(late) < 0.5 * min(early)
-            if not gained and max(late) <= min(
-                TUNED.round_off * space.noise(), TUNED.most_round_off
-            ):
-                return max(late)
+            if error <= TUNED.most_round_off and (left := self._at_round_off(seen)) is not None:
+                return left
             further = math.log(tolerance / error) / math.log(rate)
             cheap |= problem.system.pores <= TUNED.few_pores
             wait = 1 if cheap else min(TUNED.most_wait, math.ceil(TUNED.stride * further))
@@ -311,14 +309,27 @@ class Growth:
             f"{tolerance:g}; raise solver.tolerance, or record fewer decades of time"
         )
 
-    def fill(self, answer: Answer) -> None:
-        """Fill the source's outputs and maps after the start, by the space as it is (in place)."""
+    def _at_round_off(self, seen: dict[int, float]) -> float | None:
+        """The largest of the last errors if they fall no more and are round-off, else None."""
+        late = [e for when, e in seen.items() if when > max(seen) - TUNED.idle]
+        early = list(seen.values())[: -len(late)]
+        gained = not early or min(late) < 0.5 * min(early)
+        most = min(TUNED.round_off * self.space.noise(), TUNED.most_round_off)
+        return None if gained or max(late) > most else max(late)
+
+    def fill(self, rough: Rough) -> None:
+        """Fill the source's outputs and maps (in place), by the space as it is."""
         problem, k, later = self.problem, self.source, self.problem.lag > 0.0
-        size = self.space.size
-        answer.output[k, later] = self._seen(size) if size else self.recorded
-        if len(problem.domain) and size:
-            fields = self.space.lifted(self._known(size)) + self.direct
-            answer.pressure[k, later] = fill_map(problem, k, fields)
+        size, maps = self.space.size, told(self.problem, self.source)
+        rough.pressure[k] = np.zeros((np.count_nonzero(maps), len(problem.domain)))
+        if size == 0:
+            rough.output[k, later] = self.recorded
+            return
+        known = self.space.modes(size).pressure(problem.lag[later])
+        rough.output[k, later] = self._recorded(size, problem.lag[later], known)
+        if len(problem.domain):
+            fields = self.space.lifted(known[maps[later]]) + self.direct
+            rough.pressure[k] = fill_map(problem, k, fields)
 
     def _estimate(self, size: int) -> tuple[float, float, bool]:
         """Error of a size, the factor by which each vector reduces it, and whether that is cheap.
@@ -357,7 +368,9 @@ class Growth:
             before = self._once(change, half, half - width) if size > 2 * width else 1.0
             seen = self._reductions.setdefault((change.__name__, width), {})
             seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
-            reduction = max(r for when, r in seen.items() if when > size - TUNED.late)
+            while (oldest := next(iter(seen))) <= size - TUNED.late:
+                del seen[oldest]
+            reduction = max(seen.values())
             worst = max(worst, TUNED.caution * now * reduction)
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
@@ -378,53 +391,71 @@ class Growth:
     def _seen(self, size: int) -> np.ndarray:
         """Recorded outputs (l, o) of the space's first vectors."""
         if size not in self._outputs:
-            outputs = self.space.outputs(self._known(size)) + self.recorded
-            if self.own_flow is not None:
-                own = self.problem.records.well_rows + self.source
-                outputs[:, own] = self.own_flow + self.space.modes(size).own_flow(self.lag)
-            _keep(self._outputs, size, outputs)
+            _keep(self._outputs, size, self._recorded(size, self.lag, self._known(size)))
         return self._outputs[size]
+
+    def _recorded(self, size: int, lag: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        """Outputs (l, o) at lags of coefficients (l, k) of the space's first vectors."""
+        outputs = self.space.outputs(coefficients) + self.recorded
+        if self.own_flow is not None:
+            own = self.problem.records.well_rows + self.source
+            outputs[:, own] = self.own_flow + self.space.modes(size).own_flow(lag)
+        return outputs
 
     def _output_change(self, size: int, before: int) -> float:
         """Largest relative change of an output between two sizes."""
         now = self._seen(size)
         if size not in self._scales:
-            scale = self.problem.scale(self.source, now)
+            scale = self.problem.scale(self.source, now, self.at)
             self._scales = {size: np.where(scale > 0.0, scale, np.inf)}
-        change = np.abs(now - self._seen(before))
+        change = now - self._seen(before)
+        np.abs(change, out=change)
         change /= self._scales[size]
-        return float(change.max(initial=0.0))
+        return _largest(change)
 
     def _field_change(self, size: int, before: int) -> float:
         """Largest change of the field between two sizes over the largest field, in the C-norm."""
         now = self._known(size)
-        change = now.copy()
-        change[:, : now.shape[1] - (size - before)] -= self._known(before)
-        largest = np.linalg.norm(now, axis=1).max(initial=0.0)
-        moved = np.linalg.norm(change, axis=1).max(initial=0.0)
-        return float(moved / largest) if largest > 0.0 else 0.0
+        change = _less(now, self._known(before))
+        largest = _largest(np.vecdot(now, now))
+        return math.sqrt(_largest(np.vecdot(change, change)) / largest) if largest > 0.0 else 0.0
 
     def _map_change(self, size: int, before: int) -> float:
         """Largest change of a map between two sizes over the largest pressure."""
-        now = self.space.modes(size).pressure(self.map_lag)
-        change = now.copy()
-        change[:, : now.shape[1] - (size - before)] -= self.space.modes(before).pressure(
-            self.map_lag
-        )
+        now = self._known(size)[self.map_lag]
         share = self.problem.share
         if share is None:
-            largest = np.abs(self.space.fields(now)).max(initial=0.0)
+            largest = _largest(np.abs(self.space.fields(now)))
         else:
-            largest = share.field[self.source]
-        moved = np.abs(self.space.fields(change)).max(initial=0.0)
-        return float(moved / largest) if largest > 0.0 else 0.0
+            largest = float(share.field[self.source])
+        if largest == 0.0:
+            return 0.0
+        change = self.space.fields(_less(now, self._known(before)[self.map_lag]))
+        return max(float(change.max()), -float(change.min())) / largest
+
+
+def _largest(values: np.ndarray) -> float:
+    """The largest of values ≥ 0; 0 of none."""
+    return float(np.maximum.reduce(values, axis=None, initial=0.0))
+
+
+def _less(now: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """Coefficients (l, k) less those of a smaller size (l, < k)."""
+    change = now.copy()
+    change[:, : before.shape[1]] -= before
+    return change
+
+
+def _judged(lag: np.ndarray) -> np.ndarray:
+    """Which lags (l,) above zero are looked at for errors: some of each decade, and the last."""
+    (later,) = np.nonzero(lag > 0.0)
+    stretch = np.floor(TUNED.lag_checks * np.log10(lag[later]))
+    first = np.flatnonzero(np.diff(stretch, prepend=-np.inf))
+    return np.unique(np.append(later[first], later[-1:]))
 
 
 def _keep(known: dict[int, np.ndarray], size: int, values: np.ndarray) -> None:
-    """Keep what belongs to a size, and forget what lies too far before it to be asked for soon.
-
-    With a hundred thousand lags, as of a long schedule, each size takes tens of megabytes.
-    """
+    """Keep what belongs to a size, and forget what lies too far before it to be asked for soon."""
     for old in [one for one in known if one < size - 2 * max(TUNED.widths)]:
         del known[old]
     known[size] = values
@@ -470,9 +501,7 @@ def _record(
         let_in[:, source] += missing
         missing = np.abs(missing)
     answer.missing[source] = missing
-    if len(problem.domain):
-        fields = pressure @ basis.vectors.T + direct
-        answer.pressure[source] = fill_map(problem, source, fields)
+    fill_maps(problem, source, pressure, basis.vectors, direct, answer.pressure[source])
     moved = np.abs(answer.cumulative[source]).sum(axis=1)
     later = (lag > 0.0) & (moved > 0.0)
     repaired = np.max(missing[later] / moved[later], initial=0.0)

@@ -424,7 +424,9 @@ def _foresee(problem: Problem) -> None:
 def _check_finite(answer: Answer, method: str) -> None:
     """Raise `ModelError` where a solver gave what is no number."""
     for what in ("output", "cumulative", "pressure", "residual"):
-        if not np.isfinite(getattr(answer, what)).all():
+        values = np.asarray(getattr(answer, what))
+        # what is no number makes no sum; a sum may be too large for one
+        if not (np.isfinite(values.sum()) or np.isfinite(values).all()):
             raise ModelError(
                 f"{method} gave a {what} that is no finite number; look for apertures or volumes "
                 "that lie too far apart, or use another solver.method"

@@ -16,10 +16,11 @@ the sizes of their steps, known to within ten times, so that rates may vary and 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.flow.equation.problem import FAINT, Answer, Problem, Share, Steps
+from demflow.model.flow.equation.problem import FAINT, Problem, Share, Steps
 from demflow.model.outcome import ModelError
 
 # Tolerance of the responses that tell how large sums are.
@@ -32,7 +33,14 @@ SLACK = 10.0
 FAINT_FLOW = 1e-6
 
 
-def shared_out(problem: Problem, run: Callable[[Problem], Answer]) -> Problem:
+class Rough(NamedTuple):
+    """Responses that tell how large sums are."""
+
+    output: np.ndarray  # (sources, l, o)
+    pressure: dict[int, np.ndarray]  # maps of each source that acts, at the lags that are `told`
+
+
+def shared_out(problem: Problem, run: Callable[[Problem], Rough]) -> Problem:
     """The problem with the share of each source; as it is where a source is judged by itself.
 
     That is where one acts alone, or several whose steps are not known.
@@ -53,30 +61,38 @@ def shared_out(problem: Problem, run: Callable[[Problem], Answer]) -> Problem:
     return problem._replace(share=_share(problem, rough))
 
 
+def told(problem: Problem, source: int) -> np.ndarray:
+    """Lags at which maps of a rough response are needed, (l,) bool.
+
+    They tell its largest pressure: what a single step of a rate or of a fixed pressure moves only
+    grows with time.
+    """
+    later: np.ndarray = problem.lag > 0.0
+    steps = problem.steps or one_step_each(problem)
+    grows = source < problem.system.source_count - len(problem.system.initial)
+    if grows and steps.number[source] <= 1:
+        later[:-1] = False
+    return later
+
+
 def one_step_each(problem: Problem) -> Steps:
     """A step of each source, all alike."""
     ones = np.ones(problem.system.source_count)
     return Steps(ones, ones, np.inf * ones)
 
 
-def _share(problem: Problem, rough: Answer) -> Share:
+def _share(problem: Problem, rough: Rough) -> Share:
     """What errors of each source are compared with."""
     sources = problem.active_sources
     steps = problem.steps or one_step_each(problem)
     part = np.abs(rough.output) * steps.size[:, None, None]  # (sources, l, o)
     part[~problem.active] = 0.0
     part[:, problem.lag == 0.0] = 0.0  # what a step lets in at once is not recorded
-    field = (
-        np.array(
-            [
-                pulse(problem.lag, rough.pressure[k], steps.number[k], steps.shortest[k]).max(
-                    initial=0.0
-                )
-                for k in range(len(part))
-            ]
-        )
-        * steps.size
-    )
+    field = np.zeros(len(part))
+    for k in sources:
+        lag = problem.lag[told(problem, k)]
+        moved = pulse(lag, rough.pressure[k], steps.number[k], steps.shortest[k])
+        field[k] = moved.max(initial=0.0) * steps.size[k]
     parts = steps.number[sources].sum()
     slack = SLACK if len(sources) > 1 else 1.0
     unit = 1.0 / (parts * slack * steps.size)

@@ -26,6 +26,7 @@ steady state u = G⁻¹ f instead: the response is u − e^(−tC⁻¹G) u, in w
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -45,6 +46,8 @@ LAGS = 8192  # at once: what is computed on the way takes several times the room
 BLOCK_ROWS = 1024
 
 FIRST_ROOM = 32  # vectors for which memory is taken at first
+KEPT_MODES = 16  # sizes whose modes are kept: an estimate looks at several of them
+EPSILON = float(np.finfo(float).eps)
 NOTHING = 1e-13  # part of a vector that is round-off once the known part is taken away
 
 
@@ -70,9 +73,10 @@ class Modes(NamedTuple):
 
     def _by_blocks(self, lag: np.ndarray, modal: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
         """Coefficients of what each mode does at times (l, 1), which are many in long schedules."""
+        if len(lag) <= LAGS:
+            return self._in_basis(modal(lag[:, None]))
         blocks = np.split(lag, range(LAGS, len(lag), LAGS))
-        found = [self._in_basis(modal(t[:, None])) for t in blocks]
-        return found[0] if len(found) == 1 else np.concatenate(found, axis=-2)
+        return np.concatenate([self._in_basis(modal(t[:, None])) for t in blocks], axis=-2)
 
     def _in_basis(self, modal: np.ndarray) -> np.ndarray:
         """Coefficients of what each mode (…, l, k) does by a unit of its load."""
@@ -89,9 +93,7 @@ class Modes(NamedTuple):
 
 def _phi1(z: np.ndarray) -> np.ndarray:
     """(1 − e^(−z)) / z for z ≥ 0."""
-    tiny = z < 1e-300
-    safe = np.where(tiny, 1.0, z)
-    return np.where(tiny, 1.0, -np.expm1(-safe) / safe)
+    return np.divide(-np.expm1(-z), z, out=np.ones_like(z), where=z >= 1e-300)
 
 
 def _phi2(z: np.ndarray) -> np.ndarray:
@@ -122,23 +124,25 @@ class Subspace:
         of their own, it would swamp the images for small poles.
         """
         self.system, self.wells, self.records = system, wells, records
-        self.root = np.sqrt(system.storage[: system.pores])
+        self.pores = system.pores
+        self.root = np.sqrt(system.storage[: self.pores])
         self.source = wells.reduce_source(source)
         self.count = 0
         self.solves = 0
         self._space = np.empty((system.n, FIRST_ROOM), order="F")
         self._projected = np.zeros((FIRST_ROOM, FIRST_ROOM))
         self._triangle = np.zeros((0, 0))
+        self._modes: dict[int, Modes] = {}
         self._load = np.zeros(FIRST_ROOM)
         self._rows = np.zeros((records.rows.shape[0], FIRST_ROOM))
-        sealed = np.where(drained[: system.pores], 0.0, self.root)
+        sealed = np.where(drained[: self.pores], 0.0, self.root)
         self._append(sealed)
         self.start = self.count
-        start = self.source / self.root if rest is None else self.root * rest[: system.pores]
-        self.rest = 0.0 if rest is None else float(np.linalg.norm(start))
+        start = self.source / self.root if rest is None else self.root * rest[: self.pores]
+        self.rest = 0.0 if rest is None else _size(start)
         if self._append(start):
             last = self.count - 1
-            first = self._space[: system.pores, last]
+            first = self._space[: self.pores, last]
             self._projected[last, last] = first @ self._applied(first)
 
     @property
@@ -159,17 +163,17 @@ class Subspace:
     def first_decay(self) -> float:
         """Rate at which the source's own pores respond, 1/s; 0 where there are none."""
         load = self.source / self.root
-        size = float(np.linalg.norm(load))
+        size = _size(load)
         return float(load / size @ self._applied(load / size)) if size > 0.0 else 0.0
 
     def extend(self, pole: float, factor: Factor) -> bool:
         """Add the image of the last vector for a pole; whether there was anything to add."""
-        m, pores = self.count, self.system.pores
+        m, pores = self.count, self.pores
         load = np.zeros(self.system.n)
         load[:pores] = self.root * self._space[:pores, m - 1]
         image = self.root * solve(factor, load)[:pores]
         self.solves += 1
-        size = float(np.linalg.norm(image))
+        size = _size(image)
         coefficients, left = self._orthogonalise(image / size)
         if left == 0.0:
             return False
@@ -184,6 +188,14 @@ class Subspace:
 
     def modes(self, size: int) -> Modes:
         """Projection on the first `size` vectors of the sequence, as known so far."""
+        if size not in self._modes:
+            if len(self._modes) == KEPT_MODES:
+                del self._modes[next(iter(self._modes))]
+            self._modes[size] = self._decomposed(size)
+        return self._modes[size]
+
+    def _decomposed(self, size: int) -> Modes:
+        """Eigenvectors of the projection on the first `size` vectors of the sequence."""
         k = self.start + size
         if k <= len(self._triangle):
             _, singular, vectors = np.linalg.svd(self._triangle[:k, :k])
@@ -199,22 +211,17 @@ class Subspace:
         """Relative round-off of the slowest mode; measured, the root of it is what is squared."""
         if self.size == 0:
             return 0.0
+        decay = self.modes(self.size).decay
         if self.measured:
-            size = np.linalg.svd(self._triangle, compute_uv=False)
-            fastest, slowest = size[0], size[self.size - 1]
+            fastest, slowest = np.sqrt(decay[0]), np.sqrt(decay[self.size - 1])
         else:
-            decay = self._decay_rates()
-            fastest, slowest = decay[-1], decay[0]
-        return float(np.finfo(float).eps * fastest / slowest) if slowest > 0.0 else np.inf
+            fastest, slowest = decay[-1], decay[self.start]
+        return float(EPSILON * fastest / slowest) if slowest > 0.0 else np.inf
 
     def slowest(self) -> float:
-        """Smallest decay rate that the space sees, 1/s."""
-        return float(self._decay_rates()[0])
-
-    def _decay_rates(self) -> np.ndarray:
-        """Eigenvalues of the projection, the constants' left out, rising."""
-        part = slice(self.start, self.count)
-        return np.linalg.eigvalsh(self._projected[part, part])
+        """Smallest decay rate that the space sees, the constants' left out, 1/s."""
+        decay = self.modes(self.size).decay
+        return float(decay[self.size - 1] if self.measured else decay[self.start])
 
     def outputs(self, coefficients: np.ndarray) -> np.ndarray:
         """Recorded outputs (l, o) of coefficients of the basis (l, k), without the source's own."""
@@ -223,7 +230,7 @@ class Subspace:
     def fields(self, coefficients: np.ndarray) -> np.ndarray:
         """Pressure of the pores (l, pores) of coefficients of the basis (l, k)."""
         k = coefficients.shape[1]
-        found: np.ndarray = (coefficients @ self._space[: self.system.pores, :k].T) / self.root
+        found: np.ndarray = (coefficients @ self._space[: self.pores, :k].T) / self.root
         return found
 
     def lifted(self, coefficients: np.ndarray) -> np.ndarray:
@@ -236,6 +243,7 @@ class Subspace:
         self._triangle = edge_triangle(system, self._unscaled(), m)
         # or the errors of the recurrence would grow with every further vector
         self._projected[:m, :m] = self._triangle.T @ self._triangle
+        self._modes.clear()
         self._scale()
 
     def close(self, noise: float) -> Basis:
@@ -261,7 +269,7 @@ class Subspace:
 
     def _unscaled(self) -> np.ndarray:
         """The basis as pressures of all unknowns, in place."""
-        pores, m = self.system.pores, self.count
+        pores, m = self.pores, self.count
         self._space[:pores, :m] /= self.root[:, None]
         if self.system.n > pores:
             self._space[pores:, :m] = self.wells.follow(self._space[:pores, :m])
@@ -269,16 +277,16 @@ class Subspace:
 
     def _scale(self) -> None:
         """Undo `_unscaled`."""
-        self._space[: self.system.pores, : self.count] *= self.root[:, None]
+        self._space[: self.pores, : self.count] *= self.root[:, None]
 
     def _append(self, vector: np.ndarray) -> bool:
         """Orthonormalise a vector (pores,) against the space and append it, if anything is left."""
-        size = float(np.linalg.norm(vector))
+        size = _size(vector)
         return size > 0.0 and self._orthogonalise(vector / size)[1] > 0.0
 
     def _orthogonalise(self, vector: np.ndarray) -> tuple[np.ndarray, float]:
         """Append the part of a unit vector outside the space; coefficients inside, size outside."""
-        m, pores = self.count, self.system.pores
+        m, pores = self.count, self.pores
         known = self._space[:pores, :m]
         coefficients = np.zeros(m)
         left = 1.0
@@ -286,7 +294,7 @@ class Subspace:
             inside = known.T @ vector
             vector = vector - known @ inside
             coefficients += inside
-            before, left = left, float(np.linalg.norm(vector))
+            before, left = left, _size(vector)
             if left < NOTHING or m == pores:
                 return coefficients, 0.0
             if left > 0.5 * before:  # twice is enough (Kahan and Parlett)
@@ -325,7 +333,7 @@ class Subspace:
         net = system.excess * u
         net += np.bincount(system.edge_i, weights=flow, minlength=system.n)
         net -= np.bincount(system.edge_j, weights=flow, minlength=system.n)
-        return np.asarray(net[: system.pores] / self.root)
+        return np.asarray(net[: self.pores] / self.root)
 
 
 class Basis(NamedTuple):
@@ -335,6 +343,11 @@ class Basis(NamedTuple):
     modes: Modes
     rows: np.ndarray  # (o, m) recorded outputs of each
     stored: np.ndarray  # (m,) volume stored in each
+
+
+def _size(vector: np.ndarray) -> float:
+    """Length of a vector; for small ones `numpy.linalg.norm` takes longer than the sum."""
+    return math.sqrt(vector @ vector)
 
 
 def edge_triangle(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
@@ -363,12 +376,10 @@ def edge_triangle(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
 
 def _last_column(system: System, vectors: np.ndarray, m: int) -> np.ndarray:
     """The last column of VᵀGV, (m,), from differences along edges."""
+    last = vectors[:, m - 1]
+    flow = system.edge_g * (last[system.edge_i] - last[system.edge_j])
     column = np.zeros(m)
-    edges, root_g = len(system.edge_i), np.sqrt(system.edge_g)
-    for lo in range(0, edges, BLOCK_ROWS):
-        rows = np.empty((min(BLOCK_ROWS, edges - lo), m))
-        _edge_differences(vectors, system.edge_i, system.edge_j, root_g, lo, rows)
-        column += rows.T @ rows[:, -1]
+    _edge_products(vectors, system.edge_i, system.edge_j, flow, column)
     held = vectors[system.fixed_node, :m]
     return np.asarray(column + held.T @ (system.fixed_g * held[:, -1]))
 
@@ -382,3 +393,15 @@ def _edge_differences(
         for e in range(rows.shape[0]):
             k = lo + e
             rows[e, c] = root_g[k] * (vectors[edge_i[k], c] - vectors[edge_j[k], c])
+
+
+@kernel
+def _edge_products(
+    vectors: Array, edge_i: Array, edge_j: Array, flow: Array, column: Array
+) -> None:
+    """Sums of (u_i − u_j) times a flow over the edges, for the first columns of `vectors`."""
+    for c in range(column.size):
+        total = 0.0
+        for e in range(flow.size):
+            total += (vectors[edge_i[e], c] - vectors[edge_j[e], c]) * flow[e]
+        column[c] = total
