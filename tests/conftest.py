@@ -1,6 +1,7 @@
 """Hypothesis draws the same examples on every run, so that a red test stays red.
 
-What runs cost is noted in a cache of the tests' own.
+What runs cost is noted in a cache of the tests' own. There is a process of tests for each core:
+threads of their libraries would wait for one another, which took most of the time of dense solves.
 """
 
 import atexit
@@ -16,6 +17,9 @@ from tests import cache
 
 settings.register_profile("reproducible", derandomize=True, deadline=None, database=None)
 settings.load_profile("reproducible")
+
+for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM"):  # read when NumPy is imported
+    os.environ.setdefault(f"{library}_NUM_THREADS", "1")
 
 _notes = Path(tempfile.mkdtemp(prefix="demflow-tests-"))
 atexit.register(shutil.rmtree, _notes, ignore_errors=True)

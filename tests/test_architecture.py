@@ -4,6 +4,7 @@ Modules are named here without the `demflow.` that all of them lie in.
 """
 
 import ast
+import functools
 import graphlib
 from pathlib import Path
 
@@ -103,6 +104,7 @@ DOORS = {  # outer library: the only rooms that may import it
 }
 
 
+@functools.cache
 def imports() -> dict[str, set[str]]:
     """Modules that each module of ours imports, wherever in the file."""
     found: dict[str, set[str]] = {}
@@ -120,9 +122,6 @@ def imports() -> dict[str, set[str]]:
     return found
 
 
-IMPORTS = imports()
-
-
 def lies_in(module: str, rooms) -> bool:
     return any(module == room or module.startswith(room + ".") for room in rooms)
 
@@ -133,7 +132,7 @@ def place(module: str, order) -> int | None:
 
 @pytest.mark.parametrize(("top", "order"), [("model", MODEL), ("sweep", SWEEP)])
 def test_imports_flow_one_way(top, order):
-    for module, names in IMPORTS.items():
+    for module, names in imports().items():
         if module in HALLS or not lies_in(module, [top]) or lies_in(module, ["model.analytic"]):
             continue
         here = place(module, order)
@@ -153,16 +152,16 @@ def _room(module: str, order) -> str:
 
 def test_no_module_imports_itself_by_a_detour():
     def home(name):
-        while name and name not in IMPORTS:
+        while name and name not in imports():
             name = name.rpartition(".")[0]
         return name
 
-    graph = {m: {home(n) for n in names} - {m, ""} for m, names in IMPORTS.items()}
+    graph = {m: {home(n) for n in names} - {m, ""} for m, names in imports().items()}
     graphlib.TopologicalSorter(graph).prepare()  # raises CycleError, which names the circle
 
 
 def test_the_model_knows_nothing_of_studies():
-    for module, names in IMPORTS.items():
+    for module, names in imports().items():
         if lies_in(module, ["model"]):
             outer = ("sweep", "dask", "distributed", "xarray", "netCDF4", "yaml", "matplotlib")
             assert not [n for n in names if lies_in(n, outer)], module
@@ -170,16 +169,16 @@ def test_the_model_knows_nothing_of_studies():
 
 def test_closed_forms_stand_alone():
     """They judge the model, so they share nothing with it."""
-    analytic = [m for m in IMPORTS if lies_in(m, ["model.analytic"])]
+    analytic = [m for m in imports() if lies_in(m, ["model.analytic"])]
     assert len(analytic) > 4
     allowed = ("numpy", "scipy", "math", "__future__", "collections", "functools", "typing")
     for module in analytic:
-        for name in IMPORTS[module]:
+        for name in imports()[module]:
             assert lies_in(name, (*allowed, "model.analytic")), f"{module} imports {name}"
 
 
 def test_the_sweep_sees_the_contract_and_few_rooms_more():
-    for module, names in IMPORTS.items():
+    for module, names in imports().items():
         if not lies_in(module, ["sweep"]):
             continue
         allowed = [*CONTRACT, *MACHINERY.get(_room_of_sweep(module), ())]
@@ -195,7 +194,7 @@ def _room_of_sweep(module: str) -> str:
 @pytest.mark.parametrize("library", DOORS)
 def test_outer_libraries_have_one_door(library):
     users = {
-        module for module, names in IMPORTS.items() if any(lies_in(n, [library]) for n in names)
+        module for module, names in imports().items() if any(lies_in(n, [library]) for n in names)
     }
     assert users <= DOORS[library]
 
@@ -203,7 +202,7 @@ def test_outer_libraries_have_one_door(library):
 @pytest.mark.slow
 def test_nothing_that_is_read_can_be_executed():
     """Studies and results are data: no module has the means to run what it reads."""
-    for module, names in IMPORTS.items():
+    for module, names in imports().items():
         assert not [n for n in names if lies_in(n, ("pickle", "marshal", "shelve", "dill"))], module
     for path in ROOT.glob("sweep/**/*.py"):
         calls = [
@@ -216,6 +215,6 @@ def test_nothing_that_is_read_can_be_executed():
 
 def test_the_rule_can_fail():
     """The reader of imports finds what is there."""
-    assert "model.compile.kernel" in IMPORTS["model.flow.linear.factor"]
-    assert "numba.njit" in IMPORTS["model.compile"]
+    assert "model.compile.kernel" in imports()["model.flow.linear.factor"]
+    assert "numba.njit" in imports()["model.compile"]
     assert place("model.stages", MODEL) > place("model.flow.solvers.registry", MODEL)

@@ -109,6 +109,7 @@ def test_blocks_of_studies_are_valid_and_run(text, folder, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_the_tutorial_can_be_followed(folder):
     """Each block in turn, as a reader would: studies saved, commands given, Python typed."""
     tutorial = DOCS / "tutorial.md"
@@ -121,10 +122,7 @@ def test_the_tutorial_can_be_followed(folder):
             for line in text.strip().splitlines():
                 command = shlex.split(line)
                 assert command[0] == "demflow"
-                done = subprocess.run(
-                    [sys.executable, "-m", *command], capture_output=True, text=True
-                )
-                assert done.returncode == 0, done.stderr
+                assert cli.main(command[1:]) == 0
         elif language == "python":
             exec(compile(text, str(tutorial), "exec"), names)
     assert (folder / "results" / "tutorial" / "report.html").is_file()
@@ -146,6 +144,7 @@ def test_the_tutorial_can_be_followed(folder):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
 def test_the_first_page_can_be_followed(folder):
     """What README does with the quickstart's results, here of fewer grains."""
     study = (ROOT / "studies" / "quickstart.yaml").read_text().replace("count: 2500", "count: 250")

@@ -83,6 +83,7 @@ def test_what_is_kept_is_told_of_the_study_that_was_run(made, tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("forked_workers")
 @pytest.mark.parametrize("how", [{"version": 2}, {"reads": {"rate": lambda s: s.wells[0].rate}}])
 def test_what_is_kept_is_what_is_stored(tmp_path, monkeypatch, how):
     path, results, heard = toys.write_study(tmp_path), tmp_path / "results", []

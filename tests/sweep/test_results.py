@@ -31,7 +31,7 @@ def open_toy(folder, **at):
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory):
+def folder(tmp_path_factory, forked_workers):
     base = tmp_path_factory.mktemp("opened")
     path = toys.write_study(base, seeds=(), rates=(1.0, toy_stages.RAISES))
     text = path.read_text()

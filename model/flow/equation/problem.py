@@ -1,4 +1,4 @@
-"""The one question that every flow solver answers, and helpers to answer it."""
+"""The one question that every flow solver answers, and what they share to answer it."""
 
 from __future__ import annotations
 
