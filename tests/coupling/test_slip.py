@@ -10,7 +10,16 @@ from scipy.sparse import csr_array
 from demflow.model.analytic.mohr_coulomb import slip_pressure
 from demflow.model.coupling.balance import openings
 from demflow.model.coupling.setting import setting
-from demflow.model.coupling.skeleton import SLID, borne, forces, remembered, slide_factors
+from demflow.model.coupling.skeleton import (
+    SLID,
+    borne,
+    forces,
+    remembered,
+    skeleton_of,
+    slide_factors,
+)
+from demflow.model.mechanics.specimen.rock import build_specimen
+from demflow.model.mechanics.static.load_carrying import contacts_of
 from demflow.model.region import Rectangle
 from demflow.model.scene import (
     Bonds,
@@ -26,7 +35,7 @@ from demflow.model.scene import (
 )
 from demflow.model.scene.coupling import Coupling
 from demflow.model.stages import STAGES, run_stages, simulate
-from tests.coupling.bored import joint, packed, rock, wet
+from tests.coupling.bored import KN, joint, packed, rock, wet
 
 STRONG = Bonds(kind="parallel", tensile_strength=1e12, shear_strength=1e12)
 
@@ -97,6 +106,22 @@ def test_what_slip_lifted_opens_the_joint_pressed_together_or_not():
     np.testing.assert_allclose((after.wide - before.wide)[across], lifted, rtol=1e-9)
     np.testing.assert_array_equal(after.wide[~across], before.wide[~across])
     assert np.any(found.closed[contact[across]])
+
+
+def test_grains_that_touch_others_across_joints_alone_take_no_part():
+    """Friction would have to hold them along the joint; once they slide they would go anywhere."""
+    left = 0
+    for seed in range(1, 6):
+        lines = (joint(0.9), joint(-0.4), joint(1.5))
+        specimen = build_specimen(packed(seed=seed), KN, 2.5, 0.5, STRONG, lines)
+        s, _ = skeleton_of(specimen)
+        n, plain = len(specimen.grains.x), ~s.joint & (s.b >= 0)
+        held = np.bincount(np.append(s.a[plain], s.b[plain]), minlength=n) > 0
+        ends = np.append(s.a, s.b[s.b >= 0])
+        assert held[ends].all()
+        touching = contacts_of(specimen)
+        left += np.count_nonzero(~held[np.append(touching.a, touching.b)])
+    assert left > 0  # there were some
 
 
 def test_a_contact_that_slid_or_holds_cement_has_no_onset_before_it():
