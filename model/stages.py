@@ -242,6 +242,7 @@ def _breaking_rock(scene: Scene) -> Any:
         joint_lines(scene.fractures, scene.region),
         scene.grains.seed,
         scene.stress,
+        scene.ground,
     )
 
 
@@ -577,7 +578,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="fracture",
         function="demflow.model.coupling.fracture:fracture",
-        version=3,
+        version=4,
         parents=("pack", "calibrate", "fracture"),
         reads={
             "rock": _breaking_rock,

@@ -34,6 +34,7 @@ from demflow.model.coupling.skeleton import (
     borne,
     broken,
     damped_energy,
+    forces,
     gripped,
     load_factors,
     remembered,
@@ -347,6 +348,9 @@ class March:
         before = borne(s, state.hold, state.u)
         work = float(middle @ (dt * wells.inflow + given)) - dt * float(c.link_pressure @ link)
         work += float(case.load @ (now.u - state.u))
+        if state.time == 0.0:  # pressures of sides begin to act: put on by and by, so that none
+            begins = case.load + forces(s, state.hold, before, state.u) + case.push @ state.p
+            work -= 0.5 * float(begins @ (now.u - state.u))  # of their work sets grains in motion
         viscous = dt * float(pipe @ (middle[c.i] - middle[c.j]))
         viscous += dt * float(link @ (middle[c.link] - c.link_pressure))
         slip = _slipped(s, before, now.found) + damped_energy(state.hold, now.u)

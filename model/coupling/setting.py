@@ -1,9 +1,11 @@
 """What a march through breaking bonds starts from: a loaded specimen with its pores and wells.
 
-Bonds are installed on the packed grains, the walls then press with the wanted stresses, all in
-small displacements (`skeleton`). A well that is wide enough to hold grains is a hole: they are
-taken away once the stresses are on, and the face that they leave is the well's. Until time zero
-pressures are the initial ones everywhere and nothing but bonds that do not bear this breaks.
+Bonds are installed on the packed grains, the walls then press with the wanted stresses and grains
+weigh what they weigh in the fluid, all in small displacements (`skeleton`). A well that is wide
+enough to hold grains is a hole: they are taken away once the stresses are on, and the face that
+they leave is the well's. So is what is excavated, whose face has the pressure of its side. Until
+time zero pressures are the initial ones everywhere and nothing but bonds that do not bear this
+breaks.
 
 Stresses are those that the grains carry at the initial pressure; pressures act on grains by how
 they differ from it.
@@ -15,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.sparse import csr_array, eye_array
+from scipy.spatial import cKDTree
 
 from demflow.model.coupling.balance import (
     Balanced,
@@ -38,13 +41,14 @@ from demflow.model.coupling.skeleton import (
 )
 from demflow.model.coupling.told import BreakingFluid, BreakingRock
 from demflow.model.mechanics.contact.grains import Array
+from demflow.model.mechanics.loading.ground import dug_out
 from demflow.model.mechanics.specimen.rock import build_specimen
 from demflow.model.mechanics.static.stiffness import ANCHOR
 from demflow.model.network.domains import domains_at, network
 from demflow.model.outcome import ModelError
 from demflow.model.products import Network, Packing, Permeability
 from demflow.model.region import Rectangle
-from demflow.model.scene import Well
+from demflow.model.scene import Ground, Well
 
 WIDEST = 100.0  # times the unstressed aperture: beyond, pipes conduct no better
 WIDEST_OF_RADIUS = 1e-3  # where the matrix is sealed, of the mean radius
@@ -99,24 +103,37 @@ def setting(
     )  # fmt: skip
     skeleton, hold = skeleton_of(specimen)
     n, unit, box = len(packing.x), float(packing.radius.mean()), specimen.box
-    taken = _taken(packing, wells)
+    ground = Ground(0.0, (), ()) if rock.ground is None else rock.ground
+    holes = dug_out(packing, ground.holes)
+    taken = np.any([_taken(packing, wells), *holes], axis=0)
     stays = ~(taken[skeleton.a] | (taken[skeleton.b] & (skeleton.b >= 0)))
-    load = np.zeros(3 * n + 2)
-    load[-2] = -rock.stress.xx / rock.normal_stiffness * (box[3] - box[2])
-    load[-1] = -rock.stress.yy / rock.normal_stiffness * (box[1] - box[0])
-    if start is None:
-        u, hold = _loaded(skeleton, hold, load)
-        skeleton, hold = some(skeleton, hold, stays)
-        u, hold = _relaxed(skeleton, hold, load, u)
-        mode = np.where(skeleton.joint & (hold.mode == NEVER) & (hold.slip > 0.0), SLID, hold.mode)
-        hold = hold._replace(mode=mode.astype(np.int8), slip=np.zeros_like(hold.slip))
-    else:
-        skeleton, (u, hold) = some(skeleton, hold, stays)[0], start
     left = _without(packing, taken)
     size = (packing.box[1] - packing.box[0], packing.box[3] - packing.box[2])
     net = network(left, region=Rectangle(*map(float, size)), walled=True)
     gradient = _gradient(left, net, np.flatnonzero(~taken), n) / unit
-    side = _side_of(net, left, tuple(name for name, _ in wet.sides))
+    faces = _faces(net, packing, holes)
+    load = np.zeros(3 * n + 2)
+    load[-2] = -rock.stress.xx / rock.normal_stiffness * (box[3] - box[2])
+    load[-1] = -rock.stress.yy / rock.normal_stiffness * (box[1] - box[0])
+    heavy = ground.unit_weight * unit / rock.normal_stiffness
+    weight = _weight(packing, skeleton, np.zeros(n, bool), heavy)
+    load[-1] -= 0.5 * weight.sum()  # the vertical stress is that at mid-height
+    whole = load + weight
+    if start is None:
+        u, hold = _loaded(skeleton, hold, whole)
+    skeleton, hold = some(skeleton, hold, stays)
+    load += _weight(packing, skeleton, taken, heavy)
+    load += gradient[:, faces] @ (np.array(ground.pressures) / rock.normal_stiffness)
+    if start is None:
+        u, hold = _relaxed(skeleton, hold, load, u)
+        mode = np.where(skeleton.joint & (hold.mode == NEVER) & (hold.slip > 0.0), SLID, hold.mode)
+        hold = hold._replace(mode=mode.astype(np.int8), slip=np.zeros_like(hold.slip))
+    else:
+        u, hold = start
+    names = tuple(name for name, _ in wet.sides)
+    side = _side_of(net, left, names)
+    for hole, face in zip(ground.holes, faces, strict=True):
+        side[face] = names.index(hole.name)
     held = np.array([p for _, p in wet.sides]) - wet.initial
     pore, rim = np.flatnonzero(side < 0), np.flatnonzero(side >= 0)
     beyond = held[side[rim]] / rock.normal_stiffness
@@ -190,6 +207,39 @@ def _taken(packing: Packing, wells: tuple[Well, ...]) -> Array:
     found = np.zeros(len(packing.x), bool)
     for well in wells:
         found |= np.hypot(packing.x - well.at[0], packing.y - well.at[1]) < well.radius
+    return found
+
+
+def _faces(net: Network, packing: Packing, holes: list[Array]) -> Array:
+    """The domain of each hole, in a network without the grains that they took (n,) bool each.
+
+    Raises ModelError where the rock around leaves it in parts, or two are one.
+    """
+    found = []
+    for gone in holes:
+        face = np.unique(domains_at(net, np.column_stack([packing.x[gone], packing.y[gone]])))
+        if len(face) > 1 or int(face[0]) in found:
+            raise ModelError(
+                "grains around a hole do not close its rim; raise grains.count, move it away from "
+                "the walls, or add bonds with an installation_gap"
+            )
+        found.append(int(face[0]))
+    return np.array(found, dtype=np.int64)
+
+
+def _weight(packing: Packing, skeleton: Skeleton, taken: Array, heavy: float) -> Array:
+    """Weights (3 n + 2,) of the grains that are not taken (n,) bool; `heavy` is γ over k_n.
+
+    What nothing holds has its own borne by the nearest grain that carries load.
+    """
+    n = len(packing.x)
+    found = np.zeros(3 * n + 2)
+    if heavy:
+        own = -heavy * np.pi * (packing.radius / packing.radius.mean()) ** 2
+        carries = np.unique(np.append(skeleton.a, skeleton.b[skeleton.b >= 0]))
+        places = np.column_stack([packing.x, packing.y])
+        bearer = carries[cKDTree(places[carries]).query(places[~taken])[1]]
+        found[1:-2:3] = np.bincount(bearer, own[~taken], n)
     return found
 
 
@@ -398,13 +448,18 @@ def _contact_of(skeleton: Skeleton, n: int, a: Array, b: Array) -> Array:
 def _well_pores(net: Network, pore: Array, wells: tuple[Well, ...]) -> Array:
     """The pore of each well, as an unknown.
 
-    Raises ModelError where two wells share one.
+    Raises ModelError where two wells share one, or a side keeps its pressure.
     """
     if not wells:
         return np.empty(0, np.int64)
     number = np.full(len(net.x), -1)
     number[pore] = np.arange(len(pore))
     found = number[domains_at(net, np.array([well.at for well in wells]))]
+    if found.min() < 0:
+        name = wells[int(np.argmin(found))].name
+        raise ModelError(
+            f"the well {name} lies in a pore whose pressure a side or a hole keeps; move it away"
+        )
     if len(np.unique(found)) < len(found):
         raise ModelError("two wells lie in one pore; move them apart, or raise grains.count")
     result: Array = found

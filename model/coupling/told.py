@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from demflow.model.controls import controls_of, sites
 from demflow.model.flow.equation.sites import change_times
-from demflow.model.scene import Bonds, JointLine, Matrix, Scene, Stress
+from demflow.model.scene import Bonds, Ground, JointLine, Matrix, Scene, Stress
 
 LEG = 10  # outputs
 
@@ -22,6 +22,7 @@ class BreakingRock(NamedTuple):
     joints: tuple[JointLine, ...]
     seed: int  # of the bonds' strengths
     stress: Stress
+    ground: Ground | None = None  # weight in the fluid, and holes
 
 
 class BreakingFluid(NamedTuple):

@@ -410,7 +410,7 @@ class Scene:
         """What does not go with coupling."""
         if not self.coupled:
             return
-        if self.gravity is not None and not self.breaks:
+        if self.gravity is not None:
             yield from self._weight_problems()
         for side in self.inflow_sides:
             what = "a side with an inflow is for rock without coupling; give it a pressure"
@@ -425,7 +425,6 @@ class Scene:
             self.grains,
             self.bonds,
             self.fractures,
-            holed=bool(self.excavate),
             breaks=self.breaks,
         )
         if self.breaks:
@@ -466,8 +465,11 @@ class Scene:
         elif self.stress.components[2] != 0.0:
             what = "a rock whose bonds break is loaded along its walls; turn the rest instead"
             yield "stress.angle", what
-        if self.gravity is not None:
-            yield "gravity", "a rock whose bonds break has no weight; leave it out"
+        for number, one in enumerate(self.excavate):
+            if one.side not in dict(self.held_sides):
+                what = "where bonds break a hole keeps a pressure: give it a name, and boundaries "
+                what += "that; one that fluid is injected into is a well of its radius"
+                yield f"excavate.{number}.name", what
         if self.solver.method != "auto":
             what = "steps in which bonds break are found by one method; leave it out"
             yield "solver.method", what

@@ -205,7 +205,6 @@ def coupling_problems(
     bonds: Bonds | None,
     fractures: tuple[Fracture, ...],
     *,
-    holed: bool,
     breaks: bool = False,
 ) -> Problems:
     """What a coupled rock cannot be.
@@ -216,7 +215,6 @@ def coupling_problems(
     grains : how the grains are packed, and how stiff they are
     bonds : cement at the contacts, or None
     fractures : the fractures of the scene
-    holed : whether there are holes
     breaks : whether bonds may break
     """
     if not isinstance(region, Rectangle):
@@ -224,9 +222,6 @@ def coupling_problems(
             "coupling",
             "a coupled specimen stands between four walls; take region.shape rectangle",
         )
-    if holed and breaks:
-        what = "where bonds break a hole is a well of its radius; give one, and leave excavate out"
-        yield "excavate", what
     if grains.packing == "periodic":
         what = "a periodic packing has no walls; a coupled specimen needs them, as packing: random"
         yield "grains.packing", what

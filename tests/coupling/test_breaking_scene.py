@@ -12,6 +12,7 @@ from demflow.model.quantities import CASE, checked
 from demflow.model.scene import (
     Bonds,
     Circle,
+    CircularHole,
     Fluid,
     Grains,
     Matrix,
@@ -96,7 +97,12 @@ def test_a_scene_gives_what_the_table_says():
         ({"stress": None}, "stress", "give its stresses"),
         ({"bonds": None}, "bonds", "add bonds"),
         ({"initial_pressure": "steady"}, "initial_pressure", "one pressure everywhere"),
-        ({"gravity": 9.81}, "gravity", "no weight"),
+        ({"gravity": 9.81}, "fluid.density", "weigh less by the fluid"),
+        (
+            {"excavate": (CircularHole(at=(0.5, 0.5), radius=0.2, side="drift"),)},
+            "excavate.0.name",
+            "a hole keeps a pressure",
+        ),
         (
             {"wells": (dataclasses.replace(WELL, skin_factor=1.0),)},
             "wells.w.skin_factor",
