@@ -350,7 +350,8 @@ class March:
         work += float(case.load @ (now.u - state.u))
         if state.time == 0.0:  # pressures of sides begin to act: put on by and by, so that none
             begins = case.load + forces(s, state.hold, before, state.u) + case.push @ state.p
-            work -= 0.5 * float(begins @ (now.u - state.u))  # of their work sets grains in motion
+            begins -= state.hold.oil  # of their work sets grains in motion
+            work -= 0.5 * float(begins @ (now.u - state.u))
         viscous = dt * float(pipe @ (middle[c.i] - middle[c.j]))
         viscous += dt * float(link @ (middle[c.link] - c.link_pressure))
         slip = _slipped(s, before, now.found) + damped_energy(state.hold, now.u)

@@ -8,9 +8,9 @@ is scaled: a step of time is one of the grains. Both have to find the same conta
 same time; what is compared is CPU time from the loaded rock on, with all kernels compiled.
 
 Explicit steps pay for the time that passes, the march for what happens in it, so that their ratio
-goes as that time. Filling the hole at 1 l/s for each metre breaks it within a second: there both
-run whole. A tenth of that rate, still a fast test in a field, is what the bound is for: the march
-runs whole, and the explicit time is that of the fast run per step times the steps to the break.
+goes as that time: filling the hole at 0.3 l/s for each metre, which is fast in a field, takes some
+seconds to break it. Both run whole. The march's steps have an error of 0.3 %: at its default of 1 %
+it finds the break of a test at 1 l/s 1.3 % later than explicit steps do.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ DENSITY, DAMPING, SAFETY = 2700.0, 0.7, 0.8
 FASTER, SAME = 50.0, 0.01
 CHUNK = 20_000  # steps
 MOST = 4_000_000  # of them
-SLOW = 0.1  # of the rate
+SHARE = 0.3  # of the rate of `breaking_keeps_its_books`
+STEP_ERROR = 3e-3
 END = 1.3  # s, after the first break
 FRESH = 1.0001  # of the time of the first break, to which the timed march goes
 
@@ -56,14 +57,14 @@ class Loaded(NamedTuple):
     wells: Wells
 
 
-def loaded(share: float = 1.0) -> Loaded:
+def loaded(share: float = SHARE) -> Loaded:
     """The scene of `breaking_keeps_its_books` at a share of its rate, before it begins."""
     scene = bored(1)
     packing = run_stages(scene)["pack"]
     stage = next(s for s in STAGES if s.name == "fracture")
     told = stage.given(scene, 0)
     given = setting(packing, None, rock=told["rock"], wet=told["wet"], wells=told["wells"])
-    march = March(given, given.u, len(told["wet"].sides), told["tolerance"])
+    march = March(given, given.u, len(told["wet"].sides), STEP_ERROR)
     state = march.drained(breaking.start(given, len(told["wet"].sides)))
     march.origin = state.u
     d = len(given.case.storage)
@@ -337,7 +338,7 @@ class Broke(NamedTuple):
     told: str
 
 
-def implicit(share: float) -> Broke:
+def implicit(share: float = SHARE) -> Broke:
     """March from the loaded rock to its first break; timed once that is known."""
     rock = loaded(share)
     rock.march.to(rock.state, END / share, rock.wells)
@@ -353,22 +354,16 @@ def implicit(share: float) -> Broke:
     return Broke(first.time, first.contact, seconds, told)
 
 
-def run() -> Result:
+def run(share: float = SHARE) -> Result:
     """Both to the first break."""
-    fast, found, slow = implicit(1.0), explicit(loaded()), implicit(SLOW)
-    off = abs(found.time / fast.time - 1.0)
-    step = found.seconds / found.taken
-    whole, longer = found.seconds / fast.seconds, step * slow.time / found.dt / slow.seconds
-    same = off <= SAME and found.contact == fast.contact
+    found, slow = implicit(share), explicit(loaded(share))
+    off, faster = abs(found.time / slow.time - 1.0), slow.seconds / found.seconds
     return Result(
-        f"{longer:.0f} times faster at {SLOW:g} l/s ({whole:.0f} at 1 l/s), first breaks "
-        f"{off:.2%} apart",
+        f"{faster:.0f} times faster, first breaks {off:.2%} apart",
         f"≥ {FASTER:g}; ≤ {SAME:.0%}, the same contact",
-        bool(longer >= FASTER and same),
-        f"1 l/s: first break at {fast.time:.5f} s, contact {fast.contact}; explicit at "
-        f"{found.time:.5f} s, contact {found.contact}\n"
-        f"march: {fast.told}\nexplicit: {found.seconds:.1f} s of CPU for {found.taken} steps of "
-        f"{found.dt:.3g} s, {1e6 * step:.0f} µs each\n"
-        f"{SLOW:g} l/s: first break at {slow.time:.4f} s; march: {slow.told}; explicit "
-        f"by its steps: {step * slow.time / found.dt:.0f} s",
+        bool(faster >= FASTER and off <= SAME and found.contact == slow.contact),
+        f"{share:g} l/s: first break at {found.time:.5f} s, contact {found.contact}; explicit at "
+        f"{slow.time:.5f} s, contact {slow.contact}\n"
+        f"march: {found.told}\nexplicit: {slow.seconds:.1f} s of CPU for {slow.taken} steps of "
+        f"{slow.dt:.3g} s, {1e6 * slow.seconds / slow.taken:.0f} µs each",
     )

@@ -20,7 +20,10 @@ from demflow.model.stages import simulate
 from tests.benchmarks.result import Result
 
 ANGLE, LEAST, COUNT, RATE = math.radians(60.0), 10e6, 500, -1e-3
-CASES = ((1, 20e6, 0.6), (2, 20e6, 0.6), (3, 20e6, 0.6), (1, 24e6, 0.6), (2, 24e6, 0.7))
+CASES = (
+    *((seed, 20e6, 0.6) for seed in range(1, 9)),
+    *((seed, 24e6, friction) for seed in (1, 2, 4, 5) for friction in (0.6, 0.7)),
+)
 BOUND = 0.05
 PER_SECOND = 2.75e6  # about what the injected volume raises the pressure by, Pa/s
 

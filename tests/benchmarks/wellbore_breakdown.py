@@ -10,7 +10,12 @@ in the hole and of rock without grains: fluid that leaks into the wall lowers th
 the stresses stretch over a grain's size alone bears more than T, so that the ratio is above 1 where
 they differ, the less the more grains the wall has. The fracture's direction is the principal axis
 through the hole of the contacts that injection broke, weighed by their lengths, off the largest
-stress. The cement is strong enough for few contacts to break as the hole is drilled.
+stress. Cement bears twice the largest stress, so that no contact breaks as the hole is drilled.
+
+Where the fluid enters the wall in full, the formula is 3 σ3 − σ1 + T over 2 (1 − η), with
+η = (1 − 2 ν) / (2 (1 − ν)) (Haimson & Fairhurst 1967, Soc. Petrol. Engrs. J. 7, 310). By the ν' of
+plane strain in the plane, ν' = ν / (1 − ν), that is a factor of 1 / (1 + ν'); it stands beside, as
+the lower bound that injection goes towards as it becomes slow.
 """
 
 from __future__ import annotations
@@ -28,7 +33,8 @@ from tests.benchmarks.breaking_keeps_its_books import bored
 from tests.benchmarks.result import Result
 
 SEEDS = tuple(range(1, 11))
-STRESS, RATE, CEMENT = 10e6, -1e-3, 20e6
+STRESS, RATE = 10e6, -1e-3
+CEMENT = 2.0  # its tensile strength over the largest stress
 HOLES = {5.0: 1000, 10.0: 2000}  # radii of the hole in mean radii: grains, some 12 and 9 radii wide
 CASES = ((1.0, 5.0), (1.0, 10.0), (2.0, 5.0), (2.0, 10.0), (3.0, 5.0))  # σ1 / σ3, radii
 LOW, HIGH, AT_TWO = 0.8, 1.1, 1.4
@@ -42,14 +48,16 @@ class Broken(NamedTuple):
 
     ratio: float  # of the highest pressure to 3 σ3 − σ1 + T
     off: float  # degrees between the fracture and the largest stress
+    entered: float  # the same of the formula for a wall that fluid enters, of the packing's own ν
     at_zero: int  # contacts that broke before anything was injected
 
 
 def broken(seed: int, radii: float, stresses: float) -> Broken:
     """Break one packing down, at a ratio of the stresses."""
+    cement = CEMENT * stresses * STRESS
     scene = dataclasses.replace(
         bored(seed, count=HOLES[radii], stress=(STRESS, stresses * STRESS), times=TIMES),
-        bonds=Bonds(kind="parallel", tensile_strength=CEMENT, shear_strength=4.0 * CEMENT),
+        bonds=Bonds(kind="parallel", tensile_strength=cement, shear_strength=4.0 * cement),
     )
     tested = dataclasses.replace(
         scene,
@@ -62,10 +70,11 @@ def broken(seed: int, radii: float, stresses: float) -> Broken:
         initial_pressure=None,
         times=(),
         test=FailureTest(kind="tension"),
-        observe=("peak_strength",),
+        observe=("peak_strength", "elastic_moduli"),
     )
     products = run_stages(tested)
-    packed, strength = products["pack"], float(products["observe"]["peak_strength"])
+    packed, measured = products["pack"], products["observe"]
+    strength, poisson = float(measured["peak_strength"]), float(measured["elastic_poissons_ratio"])
     well = dataclasses.replace(
         scene.wells[0], radius=radii * float(packed.radius.mean()), rate=RATE
     )
@@ -86,7 +95,7 @@ def broken(seed: int, radii: float, stresses: float) -> Broken:
     assert found is not None
     expected = (3.0 - stresses) * STRESS + strength
     at_zero = int(np.count_nonzero(found.events.time == 0.0))
-    return Broken(peak / expected, off_axis(found.events), at_zero)
+    return Broken(peak / expected, off_axis(found.events), 1.0 / (1.0 + poisson), at_zero)
 
 
 def off_axis(events: Events) -> float:
@@ -107,6 +116,7 @@ def judged(found: dict[tuple[float, float], list[Broken]]) -> Result:
     mean = {case: float(np.mean([one.ratio for one in each])) for case, each in found.items()}
     holds = all(LOW <= mean[case] <= HIGH for case in CASES if case[0] == 1.0)
     holds &= mean[2.0, 10.0] < mean[2.0, 5.0] and mean[2.0, 10.0] <= AT_TWO
+    holds &= all(one.at_zero == 0 for each in found.values() for one in each)
     off = {}
     for stresses in MEAN_OFF:
         each = [one.off for case, ones in found.items() if case[0] == stresses for one in ones]
@@ -118,11 +128,11 @@ def judged(found: dict[tuple[float, float], list[Broken]]) -> Result:
         + "; off the largest stress "
         + ", ".join(f"{told} at {stresses:g}:1" for stresses, told in off.items()),
         f"{LOW} to {HIGH} at 1:1; falling, ≤ {AT_TWO} at 2:1 and 10 R; ≤ 15° and 30° each at 2:1, "
-        "≤ 12° at 3:1",
+        "≤ 12° at 3:1; none broken before",
         bool(holds),
         "\n".join(
-            f"{case[0]:g}:1, {case[1]:g} R, packing {k + 1}: {one.ratio:.3f}, {one.off:.0f}° off, "
-            f"{one.at_zero} broken before"
+            f"{case[0]:g}:1, {case[1]:g} R, packing {k + 1}: {one.ratio:.3f} ({one.entered:.3f} if "
+            f"fluid enters the wall), {one.off:.0f}° off, {one.at_zero} broken before"
             for case, each in found.items()
             for k, one in enumerate(each)
         ),

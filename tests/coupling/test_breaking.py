@@ -178,6 +178,8 @@ def test_three_to_one_breaks_at_time_zero_and_then_along_the_larger_stress():
     assert late.sum() >= 4
     assert np.abs(found.events.x[late]).mean() > 2.0 * np.abs(found.events.y[late]).mean()
     assert found.records.energies[0, 3] < found.events.energy.sum()  # books begin at time zero
+    work, astray = found.records.energies[0, [0, 4]]
+    assert astray < 1e-6 * abs(work)
 
 
 def test_suction_stops_where_the_liquid_turns_to_vapour():
