@@ -76,7 +76,8 @@ class Schedule:
             [number.setdefault(run.kind, len(number)) for run in plan.runs], dtype=np.int32
         )
         self._kinds = tuple(number)
-        self._stage = np.array([run.stage for run in plan.runs], dtype=np.int16)
+        self._stage = np.array([run.stage for run in plan.runs], dtype=np.intp)
+        self._of_stages = np.bincount(self._stage, minlength=len(plan.stages)).tolist()
         self._measured = Costs()  # in this run: what is expected of the next one
         self._ready: list[tuple[int, int]] = []  # heap of (first case, −1 of a suspect; run)
         self._children: dict[int, list[int]] = {}
@@ -223,10 +224,8 @@ class Schedule:
 
     def stages(self) -> list[tuple[str, int, int]]:
         """Of each stage of the plan its name, how many runs are stored and how many there are."""
-        rows = len(self.plan.stages)
-        stored = np.bincount(self._stage[self.state == DONE], minlength=rows)
-        runs = np.bincount(self._stage, minlength=rows)
-        numbers = zip(self.plan.stages, stored.tolist(), runs.tolist(), strict=True)
+        stored = np.bincount(self._stage[self.state == DONE], minlength=len(self.plan.stages))
+        numbers = zip(self.plan.stages, stored.tolist(), self._of_stages, strict=True)
         return [(stage.name, done, count) for stage, done, count in numbers if count]
 
     def _settle(self, runs: Iterable[int]) -> None:

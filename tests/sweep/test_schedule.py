@@ -143,6 +143,11 @@ def test_whatever_happens_every_run_ends_once(packs, flows, observers, data):
         assert (state[run] == State.BLOCKED) == (bad and run not in stored)
     good = np.count_nonzero((state[plan.cases] == State.DONE).all(axis=1))
     assert schedule.tally() == (good, len(plan.cases) - good, 0)
+    of_stages = schedule.stages()
+    assert sum(runs for _, _, runs in of_stages) == count
+    for name, done, runs in of_stages:
+        own = [k for k, run in enumerate(plan.runs) if plan.stages[run.stage].name == name]
+        assert (done, runs) == (np.count_nonzero(state[own] == State.DONE), len(own))
 
 
 def test_suspects_go_by_themselves_and_before_all_others():
