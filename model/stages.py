@@ -258,7 +258,15 @@ def _breaking_fluid(scene: Scene) -> Any:
         scene.uniform_pressure or 0.0,
         scene.coupling.least_pressure,
         scene.held_sides,
+        _largest_rate(scene.wells),
     )
+
+
+def _largest_rate(wells: tuple[Well, ...]) -> float | None:
+    """That of any well at any time, m³/s; None where a well keeps a pressure."""
+    if any(well.pressure is not None for well in wells):
+        return None
+    return max((abs(q) for well in wells for _, q in well.rate_changes), default=None)
 
 
 def _placed(well: Well) -> Well:
@@ -578,7 +586,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="fracture",
         function="demflow.model.coupling.fracture:fracture",
-        version=4,
+        version=5,
         parents=("pack", "calibrate", "fracture"),
         reads={
             "rock": _breaking_rock,

@@ -48,10 +48,11 @@ from demflow.model.network.domains import domains_at, network
 from demflow.model.outcome import ModelError
 from demflow.model.products import Network, Packing, Permeability
 from demflow.model.region import Rectangle
-from demflow.model.scene import Ground, Well
+from demflow.model.scene import Ground, Stress, Well
 
-WIDEST = 100.0  # times the unstressed aperture: beyond, pipes conduct no better
-WIDEST_OF_RADIUS = 1e-3  # where the matrix is sealed, of the mean radius
+LOST = 1e-4  # of the stress, in a pipe that carries all that wells inject: wider conducts no better
+WIDEST = 100.0  # times the unstressed aperture, up to which every pipe conducts as it opens
+WIDEST_OF_RADIUS = 1e-3, 0.3  # of the mean radius: the same, and beyond which none does
 WALLS = ("left", "right", "bottom", "top")
 PARTS = 8  # of the load, where it is not found at once
 PATIENCE = 150  # with it: it is found once, and all else hangs on it
@@ -169,7 +170,7 @@ def setting(
         storage=storage,
         conduits=conduits,
         gap_factor=wet.matrix.gap_factor,
-        widest=max(WIDEST * w0, WIDEST_OF_RADIUS * unit),
+        widest=_widest(rock.stress, wet, w0, unit),
         matrix=StepMatrix(
             _strains(skeleton),
             np.full(3 * n + 2, ANCHOR),
@@ -200,6 +201,19 @@ def setting(
         pipe_length,
         unopened,
     )
+
+
+def _widest(stress: Stress, wet: BreakingFluid, w0: float, unit: float) -> float:
+    """Aperture, m, beyond which a pipe conducts no better: what it loses is nothing by then.
+
+    Pipes that conduct without end beside tight ones would make equations hard to solve.
+    """
+    least, most = WIDEST_OF_RADIUS
+    whole, lost = most * unit, LOST * 0.5 * (stress.xx + stress.yy)
+    if wet.largest_rate and lost > 0.0:
+        length = 2.0 * unit
+        whole = min(whole, float(np.cbrt(12.0 * wet.viscosity * length * wet.largest_rate / lost)))
+    return max(WIDEST * w0, least * unit, whole)
 
 
 def _taken(packing: Packing, wells: tuple[Well, ...]) -> Array:

@@ -34,6 +34,7 @@ class BreakingFluid(NamedTuple):
     initial: float  # Pa
     least_pressure: float | None  # Pa
     sides: tuple[tuple[str, float], ...]  # name, Pa
+    largest_rate: float | None = None  # m³/s, of any well at any time; None where one has none
 
 
 class Leg(NamedTuple):

@@ -231,6 +231,15 @@ def test_graded_grains_conduct_as_coarse_ones_until_what_opens_is_as_long_as_it_
     np.testing.assert_allclose((c.factor * unit)[known], 1.0 / reach[within][known], rtol=1e-12)
 
 
+def test_what_opens_conducts_by_its_width_until_the_fluid_loses_nothing_in_it():
+    grains, rate = packed(), 1e-3
+    for viscosity in (1e-9, 1e-3, 100.0):
+        fluid = wet()._replace(viscosity=viscosity, largest_rate=rate)
+        case = setting(grains, None, rock=rock(), wet=fluid, wells=(well(grains),)).case
+        lost = 12.0 * viscosity * 2.0 * case.unit * rate / case.widest**3  # Pa in a pipe
+        assert lost <= 1.001e-4 * 10e6 or case.widest >= breaking.RUNAWAY * case.unit
+
+
 def test_a_pore_squeezed_to_nothing_ends_the_march():
     grains = packed()
     given = setting(grains, None, rock=rock(), wet=wet(), wells=(well(grains),))
