@@ -22,7 +22,7 @@ from demflow.sweep.execution.pool import Pool
 
 START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, where they end by themselves
 KILLED_SECONDS = 120.0  # and where something kills them as they start
-HUNG_SECONDS = 50.0  # without any after which those that are starting are ended, for others
+HUNG_SECONDS = 60.0  # without any after which those that are starting are ended, for others
 
 # One thread per worker, whatever library it comes from; set before the workers start.
 THREADS = "NUMBA_NUM", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"
