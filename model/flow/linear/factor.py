@@ -28,7 +28,7 @@ __all__ = ["Factor", "Symbolic", "analyse", "factorise", "solve"]
 
 # Columns of a front that are eliminated before the rest of it is brought up to date, and rows
 # that are then worked on at once: so that both stay in the cache.
-COLUMNS = 32
+COLUMNS = 8
 ROWS = 256
 
 
@@ -79,7 +79,8 @@ def solve(factor: Factor, rhs: np.ndarray) -> np.ndarray:
     fronts = (symbolic.first, symbolic.row_start, symbolic.row, symbolic.place)
     x = np.ascontiguousarray(rhs[symbolic.order], dtype=float)
     if x.ndim == 1:
-        _substitute(*fronts, symbolic.widest, factor.lower, factor.pivot, x)
+        _forward(*fronts, factor.lower, x)
+        _backward(*fronts, factor.lower, factor.pivot, x)
     else:
         _substitute_several(*fronts, factor.lower, factor.pivot, x)
     found: np.ndarray = x[symbolic.rank]
@@ -285,62 +286,71 @@ def _add_products(
 
 
 @kernel
-def _substitute(
-    first: Array,
-    row_start: Array,
-    row: Array,
-    place: Array,
-    widest: int,
-    lower: Array,
-    pivot: Array,
-    x: Array,
+def _forward(
+    first: Array, row_start: Array, row: Array, place: Array, lower: Array, x: Array
 ) -> None:
-    """Solve L D Lᵀ x = x in place, (n,)."""
-    below = np.empty(widest)
+    """Solve L y = x in place, (n,); two columns of a front at a time, which share its rows."""
     for s in range(first.size - 1):
-        begin, width = first[s], first[s + 1] - first[s]
-        rows = row[row_start[s] : row_start[s + 1]]
-        m = rows.size
-        below[:m] = 0.0
-        for k in range(width):
-            t = place[s] + k * (width + m)
-            xk = x[begin + k]
-            for r in range(k + 1, width):
-                x[begin + r] += lower[t + r] * xk
-            t += width
+        begin, end = first[s], first[s + 1]
+        rows, m = row_start[s], row_start[s + 1] - row_start[s]
+        height = end - begin + m
+        t = place[s]
+        for k in range(begin, end - 1, 2):
+            u = t + height + 1  # the second column's diagonal
+            a = x[k]
+            b = x[k + 1] + lower[t + 1] * a
+            x[k + 1] = b
+            for r in range(1, end - k - 1):
+                x[k + 1 + r] += lower[t + 1 + r] * a + lower[u + r] * b
+            t += end - k
+            u += end - k - 1
             for r in range(m):
-                below[r] += lower[t + r] * xk
-        for r in range(m):
-            x[rows[r]] += below[r]
+                x[row[rows + r]] += lower[t + r] * a + lower[u + r] * b
+            t = u + m + (k + 2 - begin)
+        if (end - begin) % 2 == 1:
+            a = x[end - 1]
+            for r in range(m):
+                x[row[rows + r]] += lower[t + 1 + r] * a
+
+
+@kernel
+def _backward(
+    first: Array, row_start: Array, row: Array, place: Array, lower: Array, pivot: Array, x: Array
+) -> None:
+    """Solve D Lᵀ x = y in place, (n,), likewise."""
     for s in range(first.size - 2, -1, -1):
-        begin, width = first[s], first[s + 1] - first[s]
-        rows = row[row_start[s] : row_start[s + 1]]
-        m = rows.size
-        for r in range(m):
-            below[r] = x[rows[r]]
-        for k in range(width - 1, -1, -1):
-            t = place[s] + k * (width + m)
-            xk = x[begin + k] / pivot[begin + k]
-            for r in range(k + 1, width):
-                xk += lower[t + r] * x[begin + r]
-            t += width
-            # one sum would wait for each of its terms
-            s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
-            for r in range(0, m - 3, 4):
-                s0 += lower[t + r] * below[r]
-                s1 += lower[t + r + 1] * below[r + 1]
-                s2 += lower[t + r + 2] * below[r + 2]
-                s3 += lower[t + r + 3] * below[r + 3]
-            for r in range(m - m % 4, m):
-                xk += lower[t + r] * below[r]
-            x[begin + k] = xk + ((s0 + s1) + (s2 + s3))
+        begin, end = first[s], first[s + 1]
+        rows, m = row_start[s], row_start[s + 1] - row_start[s]
+        height = end - begin + m
+        k = end - 1
+        t = place[s + 1] - m  # the last column's rows below the front
+        if (end - begin) % 2 == 1:
+            a = x[k] / pivot[k]
+            for r in range(m):
+                a += lower[t + r] * x[row[rows + r]]
+            x[k] = a
+            k -= 1
+            t -= height
+        while k > begin:
+            a, b = x[k - 1] / pivot[k - 1], x[k] / pivot[k]
+            for r in range(m):
+                known = x[row[rows + r]]
+                a += lower[t - height + r] * known
+                b += lower[t + r] * known
+            for r in range(1, end - k):
+                a += lower[t - height - r] * x[end - r]
+                b += lower[t - r] * x[end - r]
+            x[k] = b
+            x[k - 1] = a + lower[t - height - (end - k)] * b
+            k -= 2
+            t -= 2 * height
 
 
 @kernel
 def _substitute_several(
     first: Array, row_start: Array, row: Array, place: Array, lower: Array, pivot: Array, x: Array
 ) -> None:
-    """The same for several right-hand sides at once, (n, k)."""
+    """Solve L D Lᵀ x = x in place for several right-hand sides at once, (n, k)."""
     sides = x.shape[1]
     for s in range(first.size - 1):
         begin, width = first[s], first[s + 1] - first[s]

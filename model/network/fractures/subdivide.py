@@ -66,8 +66,9 @@ def cuts_of(apertures: Apertures, pipe: np.ndarray, backward: np.ndarray, part: 
     backward : (n,) bool: it runs from the end at `pipe_to`
     part : of its pipe that each covers, (n,)
     """
-    first = np.searchsorted(apertures.cross_pipe, pipe)
-    count = np.searchsorted(apertures.cross_pipe, pipe, side="right") - first
+    crossed = np.bincount(apertures.cross_pipe, minlength=len(apertures.conductance))
+    count = crossed[pipe]
+    first = (np.cumsum(crossed) - crossed)[pipe]
     way = np.repeat(np.arange(len(pipe)), count)
     cross = np.arange(len(way)) - np.repeat(np.cumsum(count) - count - first, count)
     fraction = apertures.cross_fraction[cross]
