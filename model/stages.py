@@ -624,7 +624,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="emulator",
         function="demflow.model.emulation:emulator",
-        version=4,
+        version=5,
         parents=("network", "walk", "stress", "calibrate"),
         reads=_FAMILY_READS,
         wanted=_never,

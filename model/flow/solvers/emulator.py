@@ -44,9 +44,10 @@ from demflow.model.memory import foresee
 from demflow.model.outcome import ModelError
 from demflow.model.products import Emulator
 
-# Samples that make up a norm, and how much larger it is taken.
+# Samples that make up a norm, and how much larger it is taken; a few tell where a snapshot is due.
 SAMPLES = 32
 CAUTION = 25.0
+SAMPLES_BEFORE = 8
 
 # Radii of the contour that share the samples of the least one, whose norm is the largest.
 SHARED = 2
@@ -444,6 +445,7 @@ class _Space:
         self.snapshots: list[tuple[Share, np.ndarray]] = []
         self.images: dict[tuple[bytes, float], int] = {}  # taken so far of a member at a pole
         self.judged = False  # whether samples were drawn after the last vector
+        self.samples = SAMPLES_BEFORE  # that make up a norm so far
         self._draws = 0
         self._enter(self.vectors[:, :0])
         ones_on_pores = np.append(np.ones(system.pores), np.zeros(self.wells))
@@ -542,7 +544,7 @@ class _Space:
     def refer(self, share: Share) -> None:
         """Draw samples by which residuals are measured, of the matrices of one member."""
         system = self.terms.at(share)
-        size = 8.0 * system.n * SAMPLES * np.ceil(len(self.around.radius) / SHARED)
+        size = 8.0 * system.n * self.samples * np.ceil(len(self.around.radius) / SHARED)
         foresee("the samples of an emulator", size)
         rng = np.random.default_rng(SEED + self._draws)
         self._draws += 1
@@ -550,9 +552,9 @@ class _Space:
             (np.ones(len(system.fixed_node)), (system.fixed_node, np.arange(len(system.fixed_g)))),
             shape=(system.n, len(system.fixed_g)),
         )
-        edges = rng.standard_normal((len(system.edge_g), SAMPLES))
-        outer = rng.standard_normal((len(system.fixed_g), SAMPLES))
-        stores = rng.standard_normal((system.n, SAMPLES)) * np.sqrt(system.storage)[:, None]
+        edges = rng.standard_normal((len(system.edge_g), self.samples))
+        outer = rng.standard_normal((len(system.fixed_g), self.samples))
+        stores = rng.standard_normal((system.n, self.samples)) * np.sqrt(system.storage)[:, None]
         flows = self.incidence @ (np.sqrt(system.edge_g)[:, None] * edges)
         flows += links @ (np.sqrt(system.fixed_g)[:, None] * outer)
         # samples of one radius need not be independent of those of another
@@ -570,6 +572,7 @@ class _Space:
         """Draw all samples anew, of which the space knows nothing."""
         drawn = [one.share for one in self.references]
         self.references.clear()
+        self.samples = SAMPLES
         for share in drawn:
             self.refer(share)
         self.judged = True
