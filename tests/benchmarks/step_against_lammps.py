@@ -2,7 +2,7 @@
 
 The same packings of 5,000 and 50,000 discs. Ours is a real run towards 2:1, with its walls,
 servo, stress path and measures; LAMMPS holds the packing by its periodic images, at rest, so
-that it rebuilds no list. One thread each.
+that it rebuilds no list. One thread each; processor time.
 """
 
 from __future__ import annotations

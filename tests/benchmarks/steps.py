@@ -41,8 +41,8 @@ def rock(count: int) -> Packing:
 
 
 def our_steps(packing: Packing, bonds: Bonds | None) -> tuple[list[float], Specimen]:
-    """Nanoseconds per disc and step of runs towards 2:1, with all that a real one does:
-    neighbours made anew, stress path and servo, damping, and the measures that would stop it."""
+    """Nanoseconds of processor per disc and step of runs towards 2:1, with all that a real one
+    does: neighbours made anew, stress path and servo, damping, and what would stop it."""
     seconds = []
     pressure = float(packing.packing_pressure)
     path = straight_path(pressure, 2.0 * pressure, pressure)
@@ -51,9 +51,9 @@ def our_steps(packing: Packing, bonds: Bonds | None) -> tuple[list[float], Speci
     specimen = build_specimen(packing, KN, STIFFNESS_RATIO, FRICTION, bonds)
     specimen.relax(path, NEVER, damping=DAMPING, steps=1)
     for _ in range(REPEATS):
-        start = time.perf_counter()
+        start = time.process_time()
         specimen.relax(path, NEVER, damping=DAMPING, steps=steps)
-        seconds.append((time.perf_counter() - start) / steps / n * 1e9)
+        seconds.append((time.process_time() - start) / steps / n * 1e9)
     return seconds, specimen
 
 

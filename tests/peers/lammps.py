@@ -26,7 +26,7 @@ def lammps_steps(
     steps: int,
     repeats: int,
 ) -> tuple[list[float], float]:
-    """Seconds of each run of `steps` steps on discs in a periodic box, and contacts per disc.
+    """Processor time of each run of `steps` steps on discs in a periodic box, contacts per disc.
 
     Raises PeerMissingError where LAMMPS is not installed.
     """
@@ -56,7 +56,12 @@ def lammps_steps(
             "OMP_NUM_THREADS": "1",
         }
         done = subprocess.run(command, env=env, capture_output=True, text=True, cwd=folder)
-    seconds = [float(s) for s in re.findall(r"Loop time of (\S+)", done.stdout)][1:]
+    loops = zip(
+        re.findall(r"Loop time of (\S+)", done.stdout),
+        re.findall(r"(\S+)% CPU use", done.stdout),
+        strict=True,
+    )
+    seconds = [float(loop) * float(use) / 100.0 for loop, use in loops][1:]
     if len(seconds) != repeats:
         raise RuntimeError(f"LAMMPS ended early: {done.stdout}{done.stderr}"[-2000:])
     touching = re.findall(r"^\s+\d+\s+(\d\S*)\s*$", done.stdout, re.MULTILINE)
