@@ -230,7 +230,8 @@ class _Execution:
         """Have a new worker import the stages and say which versions it runs; whether it may."""
         address, why = worker.address, _unfit(worker.address, worker.known)
         if why is None:
-            greeting = self.pool.call(address, introduce, self.lots.table, self.pool.parent)
+            wanted, parent = self.schedule.stages_left(), self.pool.parent
+            greeting = self.pool.call(address, introduce, self.lots.table, wanted, parent)
             try:
                 async with asyncio.timeout(GREETING_SECONDS):
                     found = await greeting

@@ -100,6 +100,11 @@ class Schedule:
         """Number of runs that are still to be done."""
         return int(np.count_nonzero(self.state <= RUNNING))
 
+    def stages_left(self) -> frozenset[str]:
+        """Stages of which some runs are still to be done."""
+        left = np.flatnonzero(self.state <= RUNNING).tolist()
+        return frozenset(self.plan.stage_of(run).name for run in left)
+
     def wanted(self) -> int:
         """Number of workers that would have something to do, each for some seconds."""
         at_hand = np.isin(self.state, (READY, RUNNING))

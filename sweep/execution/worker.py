@@ -93,8 +93,8 @@ class Outcome:
     file: bytes = b""  # what a worker without a store would store
 
 
-def introduce(table: str, parent: int | None) -> dict[str, str]:
-    """Import the stages, which is no stage's time, and return what this worker must agree in.
+def introduce(table: str, wanted: frozenset[str], parent: int | None) -> dict[str, str]:
+    """Import what is wanted of the stages, which is no stage's time; what all must agree in.
 
     It ends with its parent, the process that started it, where one is named.
     """
@@ -105,7 +105,8 @@ def introduce(table: str, parent: int | None) -> dict[str, str]:
     compilation.listener = lambda seconds: worker.log_event(COMPILING, {"seconds": seconds})
     worker.loop.add_callback(signal.signal, signal.SIGTSTP, _stand)  # in the main thread
     for stage in stage_table(table):
-        _ = stage.run
+        if stage.name in wanted:
+            _ = stage.run
     return agreed()
 
 

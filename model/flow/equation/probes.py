@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
 
 from demflow.model.flow.equation.system import System, sources_of_sides
 from demflow.model.network.domains import domains_at
@@ -177,5 +176,7 @@ def _parts(places: np.ndarray, point: np.ndarray) -> np.ndarray:
     rows = np.vstack(
         [EXACTLY * offset.T / size, EXACTLY**2 * np.ones(len(places)), np.diag(distance / size)]
     )
+    from scipy.optimize import nnls  # late: it takes long to import, and few cases have probes
+
     part = nnls(rows, np.concatenate([[0.0, 0.0, EXACTLY**2], np.zeros(len(places))]))[0]
     return np.asarray(part / part.sum())

@@ -15,7 +15,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 
 from demflow.model.flow.equation.grounded_field import GroundedField
@@ -269,6 +268,8 @@ def _fitted(
         change = _slopes(around, stars, pairs, np.exp(logarithms))
         mixed = 0.5 * (change[:, one, other] + change[:, other, one])
         return np.concatenate([change[:, diagonal, diagonal], mixed], axis=1).T
+
+    from scipy.optimize import least_squares  # late: few wells stand beside one another
 
     start = np.zeros(len(stars) + len(pairs))
     found = least_squares(misfit, start, slope, bounds=tuple(np.log(FACTORS)))

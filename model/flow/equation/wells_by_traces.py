@@ -12,7 +12,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import brentq
 
 from demflow.model.flow.equation.branches import TOUCHES
 from demflow.model.flow.equation.grounded_field import GroundedField, grounded_field
@@ -307,6 +306,8 @@ def _fitted(
     def misfit(step: float, link: float = 0.0) -> float:
         found = by(step).only(involved)
         return around.well(found._replace(way=number[found.way]), link) - field.at_wall
+
+    from scipy.optimize import brentq  # late: few wells stand beside traces
 
     if misfit(STEPS) > 0.0:
         return Fit(by(STEPS), 1)
