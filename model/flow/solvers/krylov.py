@@ -256,19 +256,20 @@ class Growth:
         self.far = problem.far(source)
         self._coefficients: dict[int, np.ndarray] = {}
         self._outputs: dict[int, np.ndarray] = {}
+        self._reductions: dict[tuple[str, int], dict[int, float]] = {}
+        self._error = 1.0  # of no vectors: the first estimate may stand on a stair
         self._judge_by(problem)
 
     def _judge_by(self, problem: Problem) -> None:
-        """Take the scales of errors from a problem from now on."""
+        """Take the scales of errors from a problem from now on; how fast they fell stays."""
         self.problem = problem
-        self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._scales: dict[int, np.ndarray] = {}
         self._changes: dict[tuple[str, int, int], float] = {}
 
     def to_tolerance(self, problem: Problem) -> float:
         """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
 
-        A space that has grown already is first judged anew, by the problem's scales and tolerance.
+        A space that has grown already is first judged as it is, by the problem's scales.
         Where rates lie so far apart that round-off hides the tolerance, the space grows until
         nothing is gained any more; the error is then that which the last vectors show.
         """
@@ -276,26 +277,23 @@ class Growth:
         if space.size == 0:
             return 0.0  # nothing that the source could move
         self._judge_by(problem)
-        standing = list(range(max(TUNED.shortest, space.size - TUNED.late), space.size + 1))
-        wait, before = 0, 1.0  # the error of no vectors: the first estimate may stand on a stair
+        wait, grown = 0, space.size >= TUNED.shortest
         seen: dict[int, float] = {}
-        while standing or space.size < MOST_VECTORS:
-            if standing:
-                size = standing.pop(0)
-            else:
+        while grown or space.size < MOST_VECTORS:
+            if not grown:
                 if not space.extend(*self.poles.next()):
                     return 0.0  # the space holds all that the source can reach
-                size = space.size
                 wait -= 1
-                if size < TUNED.shortest or wait > 0:
+                if space.size < TUNED.shortest or wait > 0:
                     continue
+            grown, size = False, space.size
             found, rate, cheap = self._estimate(size)
             if not math.isfinite(found):
                 raise ModelError(
                     f"krylov lost its numbers at {size} vectors; look for apertures that lie too "
                     "far apart, or use solver.method implicit"
                 )
-            error, before = max(found, TUNED.fall * before), found
+            error, self._error = max(found, TUNED.fall * self._error), found
             if error <= tolerance:
                 return error
             seen[size] = error
