@@ -252,6 +252,22 @@ def test_a_pore_squeezed_to_nothing_ends_the_march():
     assert "squeezed to nothing" in march._ends(state._replace(u=given.u + way))
 
 
+def test_a_well_that_empties_its_pore_squeezes_it_and_what_came_before_is_kept():
+    """Nothing flows to it, and its fluid does not give in: the grains around have to make room."""
+    grains, strong = packed(), Bonds(kind="parallel", tensile_strength=1e12, shear_strength=1e12)
+    rate, times = float(grains.radius.mean()) ** 2, tuple(np.arange(0.05, 1.01, 0.05))
+    found = run(
+        grains, rock(strong), wet(sides=(), aperture=1e-9, bulk_modulus=1e12), rate=rate,
+        radii=0.01, times=times,
+    )  # fmt: skip
+    assert "a pore was squeezed to nothing" in str(found.state.stopped)
+    kept = found.records
+    assert 5 < len(kept.time) < len(times)
+    np.testing.assert_allclose(kept.stored, -rate * kept.time, rtol=1e-9)
+    assert np.all(np.diff(kept.well_pressure[:, 0]) < 0.0)
+    assert found.unbalanced < 1e-9
+
+
 def test_a_grain_without_contact_in_a_pore_stays_where_it_is():
     grains = packed()
     given = setting(grains, None, rock=rock(), wet=wet(), wells=(well(grains),))
