@@ -49,6 +49,8 @@ from demflow.model.quantities import checked
 from demflow.model.scene import (
     Bonds,
     Ground,
+    Joint,
+    JointLine,
     Scene,
     Well,
     flow_lines,
@@ -200,6 +202,18 @@ def _cement(scene: Scene) -> Bonds | None:
     if scene.bonds is None or scene.grains.contact_stiffness is None:
         return scene.bonds
     return scene.bonds.elastic(scene.grains.contact_stiffness)
+
+
+def _stuck_joints(scene: Scene) -> tuple[JointLine, ...] | None:
+    """Smooth joints as far as they are springs, in units of k_n; None where there are none."""
+    lines, kn = joint_lines(scene.fractures, scene.region), scene.grains.contact_stiffness
+    if not lines or kn is None:
+        return None
+
+    def over(one: Joint) -> Joint:
+        return Joint(one.normal_stiffness / kn, one.shear_stiffness / kn, friction=0.0)
+
+    return tuple(line._replace(joint=over(line.joint)) for line in lines)
 
 
 def _scaled_ground(scene: Scene) -> Ground | None:
@@ -548,6 +562,7 @@ STAGES: tuple[Stage, ...] = (
             "record_map": lambda s: "pressure_map" in s.observe,
             "initial": lambda s: s.start,
         },
+        options={"joints": _stuck_joints},
         wanted=lambda s: s.flows and s.coupling_method == "linear",
         product="demflow.model.coupling.consolidation:Consolidation",
         kept=kept_by_flow,

@@ -23,7 +23,7 @@ from demflow.model.network.domains import faces_of_holes
 from demflow.model.outcome import ModelError
 from demflow.model.products import Apertures, Array, Network, Packing, Responses
 from demflow.model.region import Pierced, Rectangle, Region, bounding_box
-from demflow.model.scene import Bonds, Probe
+from demflow.model.scene import Bonds, JointLine, Probe
 from demflow.model.threads import one_blas_thread
 
 # Walls may stand this far off the sides of a region that they enclose, of its size: packings
@@ -70,6 +70,7 @@ def consolidate(
     tolerance: float,
     record_map: bool,
     initial: str = "uniform",
+    joints: tuple[JointLine, ...] = (),
 ) -> Consolidation:
     """Responses of a bonded, unbroken rock to a unit step of each source.
 
@@ -88,6 +89,7 @@ def consolidate(
     bulk_modulus : K_f of the fluid, Pa.
     wells, sides, active, probes, times, method, tolerance, record_map, initial : as for
         `flow.solvers.registry.flow`; `active` has the loads at its end.
+    joints : smooth joints, their stiffnesses over k_n.
 
     Raises `ModelError` where the rock is loose, or the solver cannot answer.
     """
@@ -95,7 +97,7 @@ def consolidate(
     region, walls = between_walls(packing, region)
     frame = frame_of(
         packing, stiffness_ratio=stiffness_ratio, friction=friction, bonds=bonds, held=held,
-        gone=taken(packing, region),
+        gone=taken(packing, region), joints=joints,
     )  # fmt: skip
     system = assemble(
         network,

@@ -2,7 +2,9 @@
 
 Every contact holds, bonded or not, about the packed state. The left and the bottom wall stand; the
 right and the top one may move. A wall stands for a mirror: what presses a grain on it is half of a
-contact between two grains, hence twice as stiff. Grains that nothing holds take no part.
+contact between two grains, hence twice as stiff. Grains that nothing holds take no part. A smooth
+joint is a spring across and one along it at each contact that it crosses; it neither parts nor
+slides.
 """
 
 from __future__ import annotations
@@ -10,11 +12,19 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import coo_array, csc_array, diags_array
 
 from demflow.model.mechanics.contact.grains import Array
+from demflow.model.mechanics.contact.joints import APART
+from demflow.model.mechanics.contact.neighbours import JOINED
+from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen.rock import build_specimen
-from demflow.model.mechanics.static.load_carrying import brakes, carrying, contacts_of
+from demflow.model.mechanics.static.load_carrying import (
+    brakes,
+    carrying,
+    carrying_beside_joints,
+    contacts_of,
+)
 from demflow.model.mechanics.static.stiffness import (
     ANCHOR,
     Contacts,
@@ -28,7 +38,7 @@ from demflow.model.network.connectivity import component_labels
 from demflow.model.network.enclosure import feet
 from demflow.model.outcome import ModelError
 from demflow.model.products import Packing
-from demflow.model.scene import Bonds
+from demflow.model.scene import Bonds, JointLine
 
 WALLS = ("left", "right", "bottom", "top")
 REFINEMENTS = 1  # of each solve
@@ -69,6 +79,7 @@ def frame_of(
     bonds: Bonds | None,
     held: tuple[str, ...] = (),
     gone: Array | None = None,
+    joints: tuple[JointLine, ...] = (),
 ) -> Frame:
     """The frame of a packing.
 
@@ -79,10 +90,11 @@ def frame_of(
     bonds : cement, its modulus over k_n; None for grains that stick by friction alone.
     held : names of the walls that stand besides the left and the bottom one.
     gone : grains that holes took, (n,) bool, or None.
+    joints : smooth joints, their stiffnesses over k_n.
 
     Raises `ModelError` where nothing bears load, or parts of it are loose.
     """
-    specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds)
+    specimen = build_specimen(packing, 1.0, stiffness_ratio, friction, bonds, joints)
     grains, n = specimen.grains, len(packing.x)
     stands = feet(packing)
     walls = tuple(stands.grain[stands.wall == wall] for wall in range(4))
@@ -90,12 +102,13 @@ def frame_of(
     if gone is not None:
         stays = ~(gone[contacts.a] | gone[contacts.b])
         contacts = Contacts(contacts.a[stays], contacts.b[stays], contacts.bond[stays], walls)
-    carries = _joined(n, contacts, carrying(n, contacts))
+    own = carrying_beside_joints(specimen) if joints else np.ones(n, bool)
+    carries = _joined(n, contacts, own & carrying(n, contacts))
     if not carries.any():
         raise ModelError(
             "no grain bears load between the walls; raise grains.count, or lower grains.porosity"
         )
-    kept = carries[contacts.a] & carries[contacts.b]
+    kept = carries[contacts.a] & carries[contacts.b] & (contacts.bond != JOINED)
     contacts = Contacts(
         contacts.a[kept],
         contacts.b[kept],
@@ -105,18 +118,21 @@ def frame_of(
     overlap = _overlaps(grains.x, grains.y, grains.radius, contacts.a, contacts.b)
     normal, shear, _ = springs(overlap, contacts, grains, specimen.bonds, specimen.law)
     whole = matrix(grains, contacts, specimen.bonds, specimen.law, 2.0 * float(normal.mean()))
+    none = contacts._replace(walls=(contacts.a[:0],) * 4)
+    between = matrix(grains, none, specimen.bonds, specimen.law)
+    if joints:
+        crossed = _of_joints(specimen, carries)
+        whole, between = csc_array(whole + crossed), csc_array(between + crossed)
     turning = np.zeros(3 * n + 2)
     turning[2:-2:3] = specimen.law.kn * np.where(carries, brakes(grains, contacts, carries), 0.0)
     whole = csc_array(whole + diags_array(turning - ANCHOR * specimen.law.kn))
     moving = [name for name in ("right", "top") if name not in held]
-    own = np.flatnonzero(np.repeat(carries, 3))
-    free = np.concatenate([own, [3 * n + WALLS.index(name) for name in moving]]).astype(np.int64)
-    rows = np.concatenate([own, [3 * n + ("right", "top").index(name) for name in moving]])
+    rest = np.flatnonzero(np.repeat(carries, 3))
+    free = np.concatenate([rest, [3 * n + WALLS.index(name) for name in moving]]).astype(np.int64)
+    rows = np.concatenate([rest, [3 * n + ("right", "top").index(name) for name in moving]])
     rows = rows.astype(np.int64)
     stiffness = csc_array(whole[rows][:, rows])
     stands_still = np.array([float(name in held) for name in ("right", "top")])
-    none = contacts._replace(walls=(contacts.a[:0],) * 4)
-    between = matrix(grains, none, specimen.bonds, specimen.law)
     return Frame(
         unit=float(packing.radius.mean()),
         grain_count=n,
@@ -129,6 +145,28 @@ def frame_of(
         contacts=contacts,
         springs=(normal, shear),
     )
+
+
+def _of_joints(specimen: Specimen, carries: Array) -> csc_array:
+    """Stiffness (3 n + 2, 3 n + 2) of what touches across joints, among grains (n,) bool."""
+    grains, joints, n = specimen.grains, specimen.joints, len(specimen.grains.x)
+    kept = (joints.state != APART) & carries[joints.a] & carries[joints.b]
+    a, b, nx, ny = joints.a[kept], joints.b[kept], joints.nx[kept], joints.ny[kept]
+    dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
+    d = np.hypot(dx, dy)
+    arm = 0.5 * (d + grains.radius[a] - grains.radius[b]) / d  # share of the way that is a's
+    along, off = (nx * dx + ny * dy), (nx * dy - ny * dx)
+    unknown = np.concatenate([3 * a, 3 * a + 1, 3 * a + 2, 3 * b, 3 * b + 1, 3 * b + 2])
+    row = np.tile(np.arange(len(a)), 6)
+    found = csc_array((3 * n + 2, 3 * n + 2))
+    for stiffness, strain in (
+        (joints.kn[kept], (-nx, -ny, arm * off, nx, ny, (1.0 - arm) * off)),
+        (joints.ks[kept], (ny, -nx, -arm * along, -ny, nx, (arm - 1.0) * along)),
+    ):
+        shape = (len(a), 3 * n + 2)
+        by = coo_array((np.concatenate(strain), (row, unknown)), shape=shape).tocsr()
+        found = found + by.T @ diags_array(stiffness) @ by
+    return csc_array(found)
 
 
 def _joined(n: int, contacts: Contacts, carries: Array) -> Array:

@@ -30,11 +30,9 @@ from demflow.model.mechanics.contact.bonds import (
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.contact.joints import APART
 from demflow.model.mechanics.contact.law import Linear
-from demflow.model.mechanics.contact.neighbours import JOINED
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen.measures import listed
-from demflow.model.mechanics.static.load_carrying import carrying, contacts_of
-from demflow.model.mechanics.static.stiffness import Contacts
+from demflow.model.mechanics.static.load_carrying import carrying_beside_joints
 
 NEAR = 0.05  # gap in mean radii up to which two grains are watched, so that they may close
 SOFT = 1e-3  # grip on a grain beside broken cement, over k_n: it follows step by step, as in oil
@@ -120,7 +118,7 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
     radius = grains.radius
     reach = radius[a] + radius[b]
     near = np.hypot(grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]) < reach + NEAR
-    carries = _carrying(specimen)  # what rattles would wander off, once touched
+    carries = carrying_beside_joints(specimen)  # what rattles would wander off, once touched
     kept = np.flatnonzero((bond >= 0) | ((bond == -1) & near & carries[a] & carries[b]))
     a, b, bond, shear = a[kept], b[kept], bond[kept], specimen.pairs.shear[kept]
     dx, dy = grains.x[b] - grains.x[a], grains.y[b] - grains.y[a]
@@ -245,25 +243,6 @@ def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
         oil=np.zeros(3 * n + 2),
     )
     return skeleton, hold
-
-
-def _carrying(specimen: Specimen) -> Array:
-    """Grains that can carry load, (n,) bool: those that touch others across joints alone cannot.
-
-    Nothing but friction would hold them along the joint, by themselves or against a wall.
-    """
-    n, contacts = len(specimen.grains.x), contacts_of(specimen)
-    while True:
-        carries = carrying(n, contacts)
-        if not len(specimen.joints.a):
-            return carries
-        plain = (contacts.bond != JOINED) & carries[contacts.a] & carries[contacts.b]
-        held = np.bincount(np.append(contacts.a[plain], contacts.b[plain]), minlength=n) > 0
-        if np.all(held[carries]):
-            return carries
-        stays = held[contacts.a] & held[contacts.b]
-        walls = tuple(wall[held[wall]] for wall in contacts.walls)
-        contacts = Contacts(contacts.a[stays], contacts.b[stays], contacts.bond[stays], walls)
 
 
 class _Walls(NamedTuple):

@@ -426,6 +426,7 @@ class Scene:
             self.bonds,
             self.fractures,
             breaks=self.breaks,
+            linear=self.coupling_method == "linear",
         )
         if self.breaks:
             yield from self._breaking_problems()

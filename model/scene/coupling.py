@@ -206,6 +206,7 @@ def coupling_problems(
     fractures: tuple[Fracture, ...],
     *,
     breaks: bool = False,
+    linear: bool = False,
 ) -> Problems:
     """What a coupled rock cannot be.
 
@@ -216,6 +217,7 @@ def coupling_problems(
     bonds : cement at the contacts, or None
     fractures : the fractures of the scene
     breaks : whether bonds may break
+    linear : whether apertures stay as they are
     """
     if not isinstance(region, Rectangle):
         yield (
@@ -241,8 +243,9 @@ def coupling_problems(
                     "where bonds break a fracture is a joint, which conducts as it opens; give "
                     "joint, and neither aperture, permeability nor a barrier",
                 )
-        elif fracture.joint is not None:
+        elif fracture.joint is not None and not linear:
             yield (
                 f"fractures.{fracture.name}.joint",
-                "coupling knows no smooth joints; leave it out",
+                "apertures that follow forces know no smooth joints; take coupling: linear, where "
+                "a joint is two springs, or breaking, where it slides and opens",
             )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from demflow.model.mechanics.contact.grains import Array, Grains
-from demflow.model.mechanics.contact.neighbours import Pairs, some_pairs
+from demflow.model.mechanics.contact.neighbours import JOINED, Pairs, some_pairs
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen.measures import listed, overlaps
 from demflow.model.mechanics.static.stiffness import TOUCHING, Contacts
@@ -57,6 +57,25 @@ def carrying(n: int, contacts: Contacts) -> Array:
         if np.array_equal(fewer, carries):
             return carries
         carries = fewer
+
+
+def carrying_beside_joints(specimen: Specimen) -> Array:
+    """Grains that can carry load, (n,) bool: those that touch others across joints alone cannot.
+
+    Nothing but friction would hold them along the joint, by themselves or against a wall.
+    """
+    n, contacts = len(specimen.grains.x), contacts_of(specimen)
+    while True:
+        carries = carrying(n, contacts)
+        if not len(specimen.joints.a):
+            return carries
+        plain = (contacts.bond != JOINED) & carries[contacts.a] & carries[contacts.b]
+        held = np.bincount(np.append(contacts.a[plain], contacts.b[plain]), minlength=n) > 0
+        if np.all(held[carries]):
+            return carries
+        stays = held[contacts.a] & held[contacts.b]
+        walls = tuple(wall[held[wall]] for wall in contacts.walls)
+        contacts = Contacts(contacts.a[stays], contacts.b[stays], contacts.bond[stays], walls)
 
 
 def brakes(grains: Grains, contacts: Contacts, carries: Array) -> Array:
