@@ -45,7 +45,8 @@ def keep(name: str, result: Result) -> None:
         f"{platform.python_version()}",
         **result._replace(details=_anywhere(result.details))._asdict(),
     }
-    rows = {one: rows[one] for one in sorted(rows) if one in titles()}
+    known = titles()
+    rows = {one: rows[one] for one in sorted(rows) if one in known}
     KEPT.write_text(json.dumps(rows, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
     write()
 
