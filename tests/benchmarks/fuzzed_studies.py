@@ -4,8 +4,8 @@ Good studies are changed where it may hurt: keys, types, units, nesting, numbers
 reach into blocks that are not there, laws, conditions, fits; the files beside them too. Each goes
 through the command itself. Whatever it ends in besides its two exit statuses is a fault; so are
 words that a terminal does not show, more than 1 s of processor time, and a process that comes to
-200 MB. One process checks them all, so that starting Python and loading libraries count once, and
-memory is that of all together. By itself the check takes a seed and a count:
+200 MB. A process checks 5,000 of them, so that starting Python and loading libraries count seldom,
+and memory is that of all these together. By itself the check takes a seed and a count:
 `python -m tests.benchmarks.fuzzed_studies --seed 7 --count 500`.
 """
 
@@ -20,6 +20,8 @@ import sys
 import tempfile
 import time
 import traceback
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +31,7 @@ from tests.sweep.damaged_studies import FILES, STUDIES, beside, damaged, studies
 
 COUNT, SECONDS, MEGABYTES = 50_000, 1.0, 200.0
 LONGEST = 200_000  # characters that a check may say
+LOT = 5_000  # studies that a process checks
 
 
 class Checked(NamedTuple):
@@ -83,29 +86,50 @@ def peak_memory() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
 
 
-def run(count: int = COUNT, seed: int = 1) -> Result:
-    """Check so many damaged studies."""
+class Lot(NamedTuple):
+    """What was found in the studies of a process; places are numbers of studies."""
+
+    valid: int
+    faults: list[str]
+    slowest: tuple[float, int]  # s, and where
+    highest: tuple[float, int]  # MB of memory, and where
+
+
+def lot(seed: int, first: int, end: int) -> Lot:
+    """Check damaged studies of a seed from one number up to another."""
     good = studies()
     faults: list[str] = []
-    slowest, valid = (0.0, 0), 0
+    slowest, valid = (0.0, first), 0
     with tempfile.TemporaryDirectory() as folder:
         Path(folder, "maps").symlink_to(STUDIES / "maps")
         load_modules(good, Path(folder))
-        highest = (peak_memory(), -1)
-        for number in range(count):
+        highest = (peak_memory(), first)
+        for number in range(first, end):
             one = checked(written(good, seed, number, Path(folder)))
             slowest = max(slowest, (one.seconds, number))
             valid += one.valid
-            if peak_memory() > highest[0]:
-                highest = (peak_memory(), number)
+            highest = max(highest, (peak_memory(), -number))
             if one.fault:
                 faults.append(f"number {number}: {one.fault}")
+    return Lot(valid, faults, slowest, (highest[0], abs(highest[1])))
+
+
+def run(count: int = COUNT, seed: int = 1) -> Result:
+    """Check so many damaged studies."""
+    firsts = range(0, count, LOT)
+    ends = [min(first + LOT, count) for first in firsts]
+    with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
+        lots = list(pool.map(lot, [seed] * len(ends), firsts, ends))
+    faults = [fault for one in lots for fault in one.faults]
+    valid = sum(one.valid for one in lots)
+    slowest = max(one.slowest for one in lots)
+    highest = max(one.highest for one in lots)
     lines = [f"{count} studies, seed {seed}: {valid} valid", *faults[:20]]
     lines.append(f"slowest: number {slowest[1]}, {slowest[0]:.2f} s")
     lines.append(f"most memory: number {highest[1]}, {highest[0]:.0f} MB")
-    ends = f"{len(faults)} of {count} without a clean end"
+    unclean = f"{len(faults)} of {count} without a clean end"
     return Result(
-        f"{ends}; at most {slowest[0]:.2f} s, {highest[0]:.0f} MB",
+        f"{unclean}; at most {slowest[0]:.2f} s, {highest[0]:.0f} MB",
         f"0; {SECONDS:g} s, {MEGABYTES:g} MB",
         not faults and slowest[0] <= SECONDS and highest[0] <= MEGABYTES,
         "\n".join(lines),
