@@ -86,5 +86,6 @@ def drawn(rows: dict[str, Any], shown: dict[str, str]) -> str:
     lines += [f"| `{name}` | {text} |" for name, text in shown.items() if name not in measured]
     for name, row in measured.items():
         lines += ["", f"## {name}", "", shown[name], "", f"{row['day']}, {row['machine']}.", ""]
-        lines += ["```", row["details"].rstrip(), "```"]
+        if details := row["details"].rstrip():
+            lines += ["```", details, "```"]
     return "\n".join(lines) + "\n"
