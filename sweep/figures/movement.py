@@ -57,7 +57,7 @@ def draw_settlement(dataset: xr.Dataset, path: Path) -> Path | None:
         name = str(dataset["wall"].values[wall])
         plot_settlement(dataset, name, panel).set_title(f"{name} wall")
     if len(cases) > 1:
-        panels[0].legend()
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left")
     return save(figure, path, "Ways of the walls inwards, such as settlement, in time")
 
 
@@ -111,7 +111,7 @@ def draw_slip(dataset: xr.Dataset, path: Path) -> Path | None:
     for panel, name in zip(panels, shown, strict=True):
         plot_slip(dataset, panel, name)
     if len(cases) > 1:
-        panels[0].legend()
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower left")
     return save(figure, path, "Slip of joints and permeability in time against well pressure")
 
 
@@ -138,7 +138,7 @@ def plot_slip(dataset: xr.Dataset, panel: Axes, of: str = "joint_slip") -> Axes:
         title = f"mean slip of the joints ({slip})"
     else:
         curves = [_mean(case[of]) / _mean(case["permeability_at_start"]) for case, _ in cases]
-        scale, title = 1.0, "mean permeability over that at the start"
+        scale, title = 1.0, "mean permeability over the first"
     for pressure, curve, (_, look) in zip(pressures, curves, cases, strict=True):
         panel.plot(factor * pressure, scale * curve, marker=".", **look)
     well = str(dataset["well"].values[0])

@@ -195,7 +195,10 @@ def _limits(
     least = min(float(line.value.min()) for line in lines)
     wide = np.log10(x[1] / x[0])
     high = np.log10(2.0 * top / max(least / 1.5, top / 10**_DECADES))
-    high = float(np.clip(high, _SHAPE[0] * wide, _SHAPE[1] * wide))
+    high = float(max(high, _SHAPE[0] * wide))
+    if high > _SHAPE[1] * wide:  # longer times, for no value is cut off below
+        beside = 10 ** (0.5 * (high / _SHAPE[1] - wide))
+        x, wide = (x[0] / beside, x[1] * beside), high / _SHAPE[1]
     return x, (2.0 * top / 10**high, 2.0 * top), high / wide
 
 
