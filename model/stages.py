@@ -458,7 +458,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="walk",
         function="demflow.model.network.fractures.walk:walk",
-        version=1,
+        version=2,
         parents=("network",),
         reads={
             "region": lambda s: s.rock,

@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from demflow.model.network.apertures import transmissivity
+from demflow.model.network.domains import network
+from demflow.model.network.fractures.walk import walk
 from demflow.model.permeability import permeability
 from demflow.model.region import Circle, Rectangle
-from demflow.model.scene import Trace, Well
+from demflow.model.scene import FlowLine, Trace, Well
 from tests.reservoirs import reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
 
@@ -184,6 +186,68 @@ def test_traces_that_touch_are_one_and_those_that_do_not_are_two(gap, joined):
         seen = made.observed((), ACROSS, method="steady")
         expected = transmissivity(1e-4, VISCOSITY) / 2.0 if joined else 0.0
         assert seen["boundary_flow"][0] == pytest.approx(expected, rel=1e-6, abs=1e-30)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["trace", "barrier"])
+def test_along_a_pipe_a_tip_is_as_far_from_a_line_as_in_the_plane(part):
+    """Tips reach beyond their ends, but by a third of the way to another line at most.
+
+    Of 300 places of a tip that ends before a line, or beside the end of one.
+    """
+    rng, pores, both = np.random.default_rng(4), network(ROCK, region=BOX), 0
+    x, y = pores.x, pores.y
+    spacing = math.sqrt(BOX.area / pores.inside.sum())
+    for _ in range(300):
+        turn, angle = rng.uniform(0.0, 2.0 * math.pi), rng.uniform(0.0, math.pi)
+        along, out = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+        middle = rng.uniform((-0.6, -0.3), (0.6, 0.3))
+        tip = middle + rng.uniform(-0.35, 0.35) * along + rng.uniform(0.02, 0.5) * spacing * out
+        away = tip + 0.3 * (math.cos(angle) * along + math.sin(angle) * out)
+        line = middle - 0.3 * along, middle + 0.3 * along
+        apart = min(far_from(tip, *line), *(far_from(end, tip, away) for end in line))
+        found = walk(
+            pores,
+            region=BOX,
+            lines=(
+                FlowLine("trace", tuple(tip), tuple(away), False, False),
+                FlowLine(part, tuple(line[0]), tuple(line[1]), False, False),
+            ),
+        )
+        first = found.cross_line == 0
+        other = found.wall_pipe if part == "barrier" else found.cross_pipe[~first]
+        at = found.wall_fraction if part == "barrier" else found.cross_fraction[~first]
+        for pipe, t in zip(found.cross_pipe[first], found.cross_fraction[first], strict=True):
+            i, j = pores.pipe_from[pipe], pores.pipe_to[pipe]
+            way = math.hypot(x[j] - x[i], y[j] - y[i])
+            for u in at[other == pipe]:
+                assert abs(t - u) * way >= apart / 3.0 * (1.0 - 1e-9)
+                both += 1
+    assert both > 30
+
+
+@pytest.mark.parametrize("lean", [-0.3, 0.0, 0.2])
+def test_what_tips_before_a_barrier_bring_to_it_passes_it_as_it_lets(lean):
+    """All that flows crosses a barrier from rim to rim: at most its length over its resistance."""
+    rng, worth = np.random.default_rng(3), 1e13
+    low, high = np.array([lean, -0.9]), np.array([-lean, 0.9])
+    fault = Trace(name="fault", resistance=worth, start=tuple(low), end=tuple(high))
+    traces = []
+    for k, part in enumerate(np.linspace(0.15, 0.85, 25)):
+        foot = low + part * (high - low)
+        tip = foot + (-1) ** k * np.array([rng.uniform(1e-3, 0.02), 0.0])
+        away = tip + (-1) ** k * np.array([0.4, rng.uniform(-0.1, 0.1)])
+        traces.append(Trace(name=f"t{k}", aperture=1e-3, start=tuple(tip), end=tuple(away)))
+    made = reservoir(ROCK, BOX, 1e-5, (fault, *traces), viscosity=VISCOSITY)
+    flow = made.observed((), ACROSS, method="steady")["boundary_flow"][0]
+    within = 1.4 * math.hypot(1.0, lean / 0.9)
+    assert 0.5 < flow / (within / worth) <= 1.0
+
+
+def far_from(place, start, end):
+    """Distance of a place from a line."""
+    part = np.clip((place - start) @ (end - start) / ((end - start) @ (end - start)), 0.0, 1.0)
+    return float(np.hypot(*(start + part * (end - start) - place)))
 
 
 def test_a_trace_that_conducts_nothing_leaves_the_matrix_as_it_was():

@@ -33,6 +33,9 @@ NODE_SPACING = 0.02
 # spacings of pores, by which an unbiased tip must reach further. For a barrier, where pressure
 # and flow change places, it is as much less.
 TIP_REACH = 0.25
+# Beyond its tip a trace is met no nearer to another one than this part of their distance, lest the
+# two be all but joined; before a barrier it reaches this part of the way to it.
+APART = 1 / 3
 LEAST_COVER = 0.1  # part of an edge across a barrier that counts as length of it
 AROUND_TIP = 24  # pores whose mean area gives their spacing there
 
@@ -61,7 +64,13 @@ def walk(network: Network, *, region: Region, lines: tuple[FlowLine, ...]) -> Wa
     # a multiplier keeps its old meaning: the pipes between its very ends
     firm = np.array([line.part == "barrier" for line in lines], dtype=bool)[barriers]
     walls = _walls(network, start[barriers], end[barriers], at_rim[barriers], firm)
-    found = _Traces(network, start[traces], end[traces], at_rim[traces].astype(bool))
+    found = _Traces(
+        network,
+        start[traces],
+        end[traces],
+        at_rim[traces].astype(bool),
+        np.stack([start[barriers], end[barriers]]),
+    )
     found.join(*_cuts(start, end, traces, barriers))
     chains = [
         (k, chain_along(network, Line(0, *lines[k][1:])))
@@ -168,6 +177,65 @@ def _tip_reach(network: Network, start: np.ndarray, end: np.ndarray) -> np.ndarr
     return found
 
 
+def _before_barriers(
+    reach: np.ndarray, start: np.ndarray, end: np.ndarray, walls: np.ndarray
+) -> np.ndarray:
+    """How far ends of traces reach beyond them, (2, traces) m, if at most by `reach`.
+
+    No further than a part of the way to a barrier; `walls` (2, b, 2) m are the ends of those.
+    """
+    if not walls.shape[1] or not reach.any():
+        return reach
+    found = reach.copy()
+    unit = (end - start) / np.hypot(*(end - start).T)[:, None]
+    for tip, place, way in zip(found, (start, end), (-unit, unit), strict=True):
+        ahead = place + tip[:, None] / APART * way
+        met = meetings(np.concatenate([place, walls[0]]), np.concatenate([ahead, walls[1]]))
+        ours = (met.line_a < len(start)) & (met.line_b >= len(start))
+        np.minimum.at(tip, met.line_a[ours], APART * met.along_a[ours])
+    return found
+
+
+def _apart(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Distances of straight lines (2, n, 2) from others, (n,) m; 0 where they cross."""
+    found = np.full(one.shape[1], np.inf)
+    side = []
+    for line, ends in ((one, other), (other, one)):
+        step = line[1] - line[0]
+        square = np.maximum((step * step).sum(axis=1), np.finfo(float).tiny)
+        for place in ends:
+            part = np.clip(((place - line[0]) * step).sum(axis=1) / square, 0.0, 1.0)
+            found = np.minimum(found, np.hypot(*(line[0] + part[:, None] * step - place).T))
+        turn = step[:, 0] * (ends[..., 1] - line[0, :, 1])
+        turn -= step[:, 1] * (ends[..., 0] - line[0, :, 0])
+        side.append((turn[0] > 0.0) != (turn[1] > 0.0))
+    found[side[0] & side[1]] = 0.0
+    return found
+
+
+def _not_joined(
+    met: Crossings, beyond: np.ndarray, network: Network, ends: np.ndarray
+) -> Crossings:
+    """Crossings without those `beyond` (c,) tips that would join lines which do not meet.
+
+    `ends` (2, l, 2) m are those of the lines. One that is met nowhere else keeps its crossings.
+    """
+    order = np.lexsort((met.fraction, met.pipe))
+    one, other = order[:-1], order[1:]
+    asked = (met.pipe[one] == met.pipe[other]) & (beyond[one] | beyond[other])
+    asked &= met.line[one] != met.line[other]
+    one, other = one[asked], other[asked]
+    i, j = network.pipe_from[met.pipe[one]], network.pipe_to[met.pipe[one]]
+    way = np.hypot(network.x[j] - network.x[i], network.y[j] - network.y[i])
+    between = way * (met.fraction[other] - met.fraction[one])
+    near = between < APART * _apart(ends[:, met.line[one]], ends[:, met.line[other]])
+    kept = np.ones(len(met.line), dtype=bool)
+    kept[np.concatenate([one[near], other[near]])] = False
+    kept |= ~beyond
+    kept |= np.bincount(met.line, kept, ends.shape[1])[met.line] == 0.0
+    return Crossings(*(column[kept] for column in met))
+
+
 def _cuts(
     start: np.ndarray, end: np.ndarray, traces: np.ndarray, barriers: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -185,7 +253,12 @@ class _Traces:
     """Nodes and branches of the traces, found line by line."""
 
     def __init__(
-        self, network: Network, start: np.ndarray, end: np.ndarray, at_rim: np.ndarray
+        self,
+        network: Network,
+        start: np.ndarray,
+        end: np.ndarray,
+        at_rim: np.ndarray,
+        walls: np.ndarray,
     ) -> None:
         self.start, self.end, self.at_rim = start, end, at_rim
         self.spacing = NODE_SPACING * math.sqrt(float(network.area[network.inside].mean()))
@@ -194,9 +267,11 @@ class _Traces:
         along = (end - start) / length[:, None]
         self.tip = _tips(self.joints, at_rim)
         more = np.where(self.tip.T, _tip_reach(network, start, end), 0.0)
+        more = _before_barriers(more, start, end, walls)
         met = crossings(network, start - more[0][:, None] * along, end + more[1][:, None] * along)
-        place = np.clip(met.along - more[0][met.line], 0.0, length[met.line])
-        self.met = met._replace(along=place)
+        at = met.along - more[0][met.line]
+        met = met._replace(along=np.clip(at, 0.0, length[met.line]))
+        self.met = _not_joined(met, at != met.along, network, np.stack([start, end]))
 
     def join(self, cut_line: np.ndarray, cut_along: np.ndarray, barrier: np.ndarray) -> None:
         """Make nodes of crossings and junctions, and branches between them."""
