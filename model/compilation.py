@@ -1,7 +1,7 @@
-"""The time that a process spends compiling kernels, told apart from what it computes.
+"""The time that a process spends compiling and loading kernels, apart from what it computes.
 
-A fresh machine compiles for up to a minute inside its first stage runs, which is no
-part of any case: `model.compile` reports each compilation here.
+A fresh machine compiles for up to a minute inside its first stage runs, and each process loads
+what is compiled once, which is no part of any case: `model.compile` reports both here.
 """
 
 from __future__ import annotations
@@ -66,6 +66,43 @@ class Compilation:
 
 
 compilation = Compilation()
+
+
+class Loading:
+    """A stopwatch of kernels that are made ready to be called, without what compiling them takes.
+
+    It counts wall-clock `seconds` and `cpu_seconds` of this process, both so far.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self.cpu_seconds = 0.0
+        self._depth = 0
+
+    @contextmanager
+    def under_way(self) -> Iterator[None]:
+        """Count what is done within a `with` block, perhaps inside another."""
+        self._depth += 1
+        begin, cpu = _clocks()
+        try:
+            yield
+        finally:
+            self._depth -= 1
+            if self._depth == 0:
+                end, cpu_end = _clocks()
+                self.seconds += end - begin
+                self.cpu_seconds += cpu_end - cpu
+
+
+def _clocks() -> tuple[float, float]:
+    """Clocks of time and processor time, s; both stand still while kernels are compiled."""
+    return (
+        time.perf_counter() - compilation.seconds,
+        time.process_time() - compilation.cpu_seconds,
+    )
+
+
+loading = Loading()
 
 
 def kept_kernels() -> int:

@@ -16,7 +16,7 @@ from numba import njit, version_info
 from numba.core import event
 from numba.extending import overload
 
-from demflow.model.compilation import compilation
+from demflow.model.compilation import compilation, loading
 from demflow.model.kernel_cache import LateCache
 
 Array = np.ndarray  # its docstring says of what, and of which shape
@@ -39,7 +39,8 @@ def kernel(function: Function) -> Function:
         compile_ = compiled.compile
 
         def alone(signature: Any) -> Any:
-            with cache.alone():  # processes that want the same kernel compile it once
+            # processes that want the same kernel compile it once
+            with loading.under_way(), cache.alone():
                 return compile_(signature)
 
         compiled.compile = alone

@@ -106,6 +106,14 @@ def _nothing(_scene: Scene) -> float:
     return 0.0
 
 
+def _plain(_scene: Scene) -> str:
+    return ""
+
+
+def _traces(scene: Scene) -> str:
+    return "traces" if flow_lines(scene.fractures, scene.rock) else ""
+
+
 @dataclass(frozen=True)
 class Stage:
     """One row of the table of stages."""
@@ -121,6 +129,7 @@ class Stage:
     # as `leg`, beside the product of the run before (None at first)
     legs: Callable[[Scene], tuple[Any, ...]] | None = None
     size: Callable[[Scene], float] = grain_count  # with which its cost grows
+    manner: Callable[[Scene], str] = _plain  # what there is in a scene that costs more, a word
     # numbers of its product, and that it holds at once, which times and rate changes make
     kept: Callable[[Scene], float] = _nothing
     held: Callable[[Scene], float] = _nothing
@@ -480,6 +489,7 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=lambda s: s.porous,
         product=Apertures,
+        manner=_traces,
     ),
     Stage(
         name="measure",
@@ -516,6 +526,7 @@ STAGES: tuple[Stage, ...] = (
         reads=_FLOW_READS,
         wanted=lambda s: s.flows and not s.coupled,
         product=Responses,
+        manner=_traces,
         kept=kept_by_flow,
         held=held_by_flow,
         options={"storativity": lambda s: s.storativity},
@@ -534,6 +545,7 @@ STAGES: tuple[Stage, ...] = (
         },
         wanted=lambda s: s.needs("reference") and s.method != "steady",
         product=Responses,
+        manner=_traces,
         kept=kept_by_flow,
         held=held_by_flow,
         options={"storativity": lambda s: s.storativity},

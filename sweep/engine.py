@@ -126,6 +126,7 @@ def run_study(
     KeyboardInterrupt after Ctrl-C: the first lets what runs end and collects the dataset of what
     is finished, the second stops at once.
     """
+    begin = time.perf_counter()
     if workers < 1:
         raise ValueError(f"workers is {workers}; at least one is needed")
     if getattr(multiprocessing.current_process(), "_inheriting", False):
@@ -173,12 +174,14 @@ def run_study(
             damaged=damaged,
             changed=_changed(prepared),
         )
+        if executed is not None:
+            _note(prepared, "leading", time.perf_counter() - begin - executed.seconds)
         if not figures:
             return finished
         begin = time.perf_counter()
         drawn = draw(prepared, finished, again=collected)
-        if finished.executed is not None:
-            _note_drawing(prepared, time.perf_counter() - begin)
+        if executed is not None:
+            _note(prepared, "drawing", time.perf_counter() - begin)
         return drawn
 
 
@@ -489,10 +492,10 @@ def _execute(
             prepared.keep(costs)
 
 
-def _note_drawing(prepared: Project, seconds: float) -> None:
-    """Keep what figures and report took, for forecasts."""
+def _note(prepared: Project, part: str, seconds: float) -> None:
+    """Keep what a part of a run took that comes once, for forecasts."""
     costs = prepared.costs()
-    costs.drawing = seconds
+    setattr(costs, part, seconds)
     with suppress(OSError):
         prepared.keep(costs)
 

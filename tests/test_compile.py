@@ -110,6 +110,19 @@ def test_the_time_of_a_compilation_is_told_and_that_of_the_cache_is_not(tmp_path
     assert answer(code, tmp_path, environment) == "0 False True\n"
 
 
+def test_the_time_in_which_kept_kernels_are_loaded_is_told_apart(tmp_path):
+    environment = small_model(tmp_path)
+    code = (
+        "import time; from demflow.model.compilation import compilation as c, loading as l\n"
+        "from demflow.model.caller import caller\n"
+        "begin = time.perf_counter(); caller(1.5); took = time.perf_counter() - begin\n"
+        "first = l.seconds; caller(2.5)\n"
+        "print(c.seconds > 0, first > 0, c.seconds + first < took, l.seconds == first)\n"
+    )
+    assert answer(code, tmp_path, environment) == "True True True True\n"
+    assert answer(code, tmp_path, environment) == "False True True True\n"
+
+
 def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
     environment = small_model(tmp_path)
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}

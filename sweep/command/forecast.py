@@ -18,6 +18,7 @@ from demflow.sweep.execution.memory import machine_memory, peak_memory
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.plan.runs import CostClass
 from demflow.sweep.prepared import Project
+from demflow.sweep.store.costs import ONCE
 from demflow.sweep.study.load import Limits
 
 COMPILING = 30.0  # s of processor time to compile the kernels of a study, once on a machine
@@ -69,10 +70,10 @@ def forecast(prepared: Project, workers: int) -> dict[str, Any]:
     main = max(costs.main, peak_memory())
     compiling = COMPILING / workers if waiting and _compiles(unknown) else 0.0
     least = {
-        "seconds": (costs.start or 0.0)
+        "seconds": sum(getattr(costs, name) or 0.0 for name in ONCE)
         + compiling
-        + _elapsed(made, left, seconds, workers)
-        + (costs.drawing or 0.0),
+        + costs.loading(waiting)  # by all workers at once
+        + _elapsed(made, left, seconds, workers),
         "bytes": sum(n * (costs.stored(kind) or kind.bytes_kept) for kind, n in waiting.items())
         + _dataset(made),
         "memory": main + workers * largest,

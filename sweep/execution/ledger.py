@@ -71,7 +71,8 @@ class Ledger:
         elif outcome.status is Status.DONE:
             spent = outcome.seconds, outcome.stored, outcome.memory, outcome.compiled
             # what a worker on another kind of machine took is no measure of this one
-            self._done(outcome.run, *spent, here=outcome.machine in ("", machine()))
+            here = outcome.machine in ("", machine())
+            self._done(outcome.run, *spent, outcome.loading, here=here)
         else:
             self._fail(outcome.run)
 

@@ -27,7 +27,7 @@ import numpy as np
 from distributed import get_worker
 from zict import LRU
 
-from demflow.model.compilation import compilation
+from demflow.model.compilation import compilation, loading
 from demflow.model.memory import limited
 from demflow.model.outcome import ModelError, OutOfMemory, Status
 from demflow.model.parameters import SceneError
@@ -88,6 +88,7 @@ class Outcome:
     stored: int = 0  # bytes
     memory: int = 0  # largest resident memory of this process so far, bytes
     compiled: bool = False  # whether it has compiled kernels too
+    loading: float = 0.0  # s that kernels took to load, beside `seconds`
     machine: str = ""  # the kind of machine that it ran on
     lost: str | None = None
     file: bytes = b""  # what a worker without a store would store
@@ -233,7 +234,7 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
             parents.append(build(stages[name].returns, _load(made, identity)))
         except (MissingError, DamagedError) as error:
             return Outcome(task.run, Status.NOT_RUN, str(error), lost=identity)
-    begin, cpu = _working_time()
+    (begin, cpu), loaded = _working_time(), loading.seconds
     meta: dict[str, Any] = {"stage": stage.name, "version": stage.version}
     status, message, arrays = _ended(stage, parents, task.reads, meta)
     end, cpu_end = _working_time()
@@ -244,14 +245,16 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
         # what bounded it: its limit, or less, all that there was
         short = limit is None or room < SHORT * limit
         meta |= {"limits": {"memory": limit}} | ({"room": room} if short else {})
-    # what compiling took, once on this machine, is no measure of the next run
+    # what compiling took, once on this machine, and loading is no measure of the next run
     size, memory, compiled = 0, peak_memory(), compilation.seconds > 0.0
+    loaded = loading.seconds - loaded
     if status is Status.DONE:
         size = made.put(task.id, arrays, meta)
         _memory[task.id] = arrays
     else:
         made.put(task.id, {}, {**meta, "status": int(status), "message": message})
-    return Outcome(task.run, status, message, end - begin, size, memory, compiled, machine())
+    spent = end - begin, size, memory, compiled
+    return Outcome(task.run, status, message, *spent, loading=loaded, machine=machine())
 
 
 def _ended(
@@ -279,10 +282,10 @@ def _ended(
 
 
 def _working_time() -> tuple[float, float]:
-    """Clocks of time and processor time, s; both stand still while kernels are compiled."""
+    """Clocks of time and processor time, s; they stand while kernels are compiled and loaded."""
     return (
-        time.perf_counter() - compilation.seconds - _stood,
-        time.process_time() - compilation.cpu_seconds,
+        time.perf_counter() - compilation.seconds - loading.seconds - _stood,
+        time.process_time() - compilation.cpu_seconds - loading.cpu_seconds,
     )
 
 

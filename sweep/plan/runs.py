@@ -21,6 +21,7 @@ class CostClass(NamedTuple):
     step: int  # ln(its size) / SIZE_STEP
     kept: int = 0  # ln(1 + numbers of its product that times and the like make) / SIZE_STEP
     held: int = 0  # the same of numbers held at once
+    manner: str = ""  # what there is in its scene that costs more, a word
 
     @classmethod
     def of(cls, stage: Stage, scene: Scene) -> CostClass:
@@ -29,7 +30,7 @@ class CostClass(NamedTuple):
         variant = "" if method is None else str(method(scene))
         size = round(math.log(stage.size(scene)) / SIZE_STEP)
         kept, held = (round(math.log1p(of(scene)) / SIZE_STEP) for of in (stage.kept, stage.held))
-        return cls(stage.name, stage.version, variant, size, kept, held)
+        return cls(stage.name, stage.version, variant, size, kept, held, stage.manner(scene))
 
     @property
     def bytes_kept(self) -> float:
@@ -44,6 +45,11 @@ class CostClass(NamedTuple):
     @property
     def key(self) -> str:
         """All but the size, as one word."""
+        return f"{self.alike}/{self.manner}" if self.manner else self.alike
+
+    @property
+    def alike(self) -> str:
+        """With which keys begin of what was done in the same way, to whatever scene."""
         return f"{self.stage}/{self.version}/{self.variant}"
 
 

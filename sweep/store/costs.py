@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,6 +28,7 @@ DOUBT = 0.05  # weight of that exponent beside the spread of the sizes that were
 STEEPEST = 1.5  # exponent of a planar graph's factor; no stage grows faster
 LIBRARIES = 3e7  # bytes of what single stages import; they do not grow
 LEAST_PART = 0.01  # of a product that grows with the size, however much is counted beside it
+ONCE = ("start", "drawing", "leading")  # times that a run takes once, whatever it runs
 OUTLIERS = 3  # runs from which the slowest, which loads the compiled code, does not count
 
 
@@ -42,9 +43,16 @@ class Spent(NamedTuple):
     bound: int = 0  # the same of workers that had compiled too, whose compiler counts, bytes
     kept: float = 0.0  # what times and the like made of what is stored, bytes
     held: float = 0.0  # and of the memory, the most, bytes
+    loading: float = 0.0  # s that compiled code took to load beside a run, the most
 
     def and_one(
-        self, kind: CostClass, seconds: float, stored: int, memory: int, compiled: bool
+        self,
+        kind: CostClass,
+        seconds: float,
+        stored: int,
+        memory: int,
+        compiled: bool,
+        loading: float,
     ) -> Spent:
         """With one more run.
 
@@ -55,6 +63,7 @@ class Spent(NamedTuple):
         stored : bytes of its product
         memory : bytes that its process had at most
         compiled : whether kernels were compiled in it
+        loading : s that compiled kernels took to load, beside the run itself
         """
         return Spent(
             self.runs + 1,
@@ -65,6 +74,7 @@ class Spent(NamedTuple):
             max(self.bound, memory),
             self.kept + kind.bytes_kept,
             max(self.held, kind.bytes_held),
+            max(self.loading, loading),
         )
 
     @property
@@ -97,6 +107,7 @@ class Costs:
         self.known: dict[str, dict[int, Spent]] = {}  # by key, then by step of the size
         self.start: float | None = None  # s until the workers of a run stood, the last time
         self.drawing: float | None = None  # s that figures and report took, the last time
+        self.leading: float | None = None  # s of a run besides: planning, collecting, the last time
         self.main: int = 0  # memory of the process that leads a run, bytes: the least one seen
 
     @classmethod
@@ -121,22 +132,22 @@ class Costs:
                 key: {int(step): spent for step, spent in _spent(sizes) if spent.possible}
                 for key, sizes in record["stages"].items()
             }
-            start, drawing = (_seconds(record.get(name)) for name in ("start", "drawing"))
+            once = {name: _seconds(record.get(name)) for name in ONCE}
             main = int(record.get("main", 0))
         except (OSError, ValueError, TypeError, AttributeError, KeyError):
             return
         for key, sizes in known.items():
             self.known[key] = self.known.get(key, {}) | sizes
-        self.start = self.start if start is None else start
-        self.drawing = self.drawing if drawing is None else drawing
+        for name, told in once.items():
+            if told is not None:
+                setattr(self, name, told)
         self.main = main or self.main
 
     def write(self, store: Store, *, everywhere: bool = False) -> None:
         """Keep the totals for the next run; raises OSError where the store cannot be written."""
         record = {
             "machine": machine(),
-            "start": self.start,
-            "drawing": self.drawing,
+            **{name: getattr(self, name) for name in ONCE},
             "main": self.main,
             "stages": self.known,
         }
@@ -158,6 +169,7 @@ class Costs:
         stored: int = 0,
         memory: int = 0,
         compiled: bool = False,
+        loading: float = 0.0,
     ) -> None:
         """Count one more run; whether its worker had compiled kernels before.
 
@@ -168,10 +180,11 @@ class Costs:
         stored : bytes of its product
         memory : bytes that its process had at most
         compiled : whether kernels were compiled in it
+        loading : s that compiled kernels took to load, beside the run itself
         """
         sizes = self.known.setdefault(kind.key, {})
         sizes[kind.step] = sizes.get(kind.step, Spent()).and_one(
-            kind, seconds, stored, memory, compiled
+            kind, seconds, stored, memory, compiled, loading
         )
 
     def led(self, memory: int) -> None:
@@ -182,6 +195,12 @@ class Costs:
         """Expected seconds of a run, None if its stage was never run."""
         times = {step: spent.typical for step, spent in self._sizes(kind).items()}
         return scaled(times, self._sizes(kind), kind.step)
+
+    def loading(self, kinds: Iterable[CostClass]) -> float:
+        """Expected seconds in which a process loads the compiled code of some stages, each once."""
+        keys = {kind.key for kind in kinds}
+        known = (self.known.get(key, {}).values() for key in keys)
+        return sum(max((spent.loading for spent in sizes), default=0.0) for sizes in known)
 
     def stored(self, kind: CostClass) -> float | None:
         """Expected bytes of a product, None if its stage was never run.
@@ -216,7 +235,9 @@ class Costs:
         return least + fixed + grown * growth + kind.bytes_held
 
     def _sizes(self, kind: CostClass) -> dict[int, Spent]:
-        return self.known.get(kind.key, {})
+        """What is known of its kind, or else of what was done in the same way to other scenes."""
+        others = (key for key in self.known if f"{key}/".startswith(f"{kind.alike}/"))
+        return self.known.get(kind.key) or self.known.get(next(others, ""), {})
 
 
 def _spent(sizes: dict[str, Any]) -> Iterator[tuple[str, Spent]]:

@@ -151,6 +151,26 @@ def test_memory_of_workers_that_compiled_counts_until_others_were_seen():
     assert costs.memory(kind(1000)) == 300
 
 
+def test_scenes_with_traces_are_told_apart_once_they_were_seen():
+    costs, plain = Costs(), kind(1000)
+    costs.add(plain, 1.0, 10)
+    traced = plain._replace(manner="traces")
+    assert costs.seconds(traced) == 1.0  # better than nothing
+    costs.add(traced, 5.0, 10)
+    assert (costs.seconds(plain), costs.seconds(traced)) == (1.0, 5.0)
+    assert costs.seconds(plain._replace(variant="kry")) is None
+
+
+def test_each_process_loads_the_code_of_a_stage_once_whatever_its_size():
+    costs = Costs()
+    for grains, loading in ((1000, 0.2), (1000, 0.0), (4000, 0.25)):
+        costs.add(kind(grains), 1.0, 10, loading=loading)
+    costs.add(kind(1000, stage="pack"), 1.0, 10, loading=0.5)
+    wanted = [kind(1000), kind(9000), kind(1000, stage="pack"), kind(1000, stage="walk")]
+    assert costs.loading(wanted) == pytest.approx(0.75)
+    assert costs.seconds(kind(1000)) == 1.0
+
+
 @pytest.mark.slow
 def test_what_is_known_is_told_as_a_lower_bound(tmp_path, capsys):
     rates = (1.0, 2.0)
@@ -269,9 +289,12 @@ def test_figures_and_report_count_as_they_took_the_last_time(tmp_path):
     drawing = costs.drawing
     assert drawing is not None
     assert 0.0 < drawing < told
-    costs.drawing = 3.0 * drawing
+    leading = costs.leading
+    assert 0.0 < leading < told - drawing
+    costs.drawing, costs.leading = 3.0 * drawing, 2.0 * leading
     made.keep(costs)
-    assert forecast(made, 1)["at_least"]["seconds"] == pytest.approx(told + 2.0 * drawing)
+    longer = told + 2.0 * drawing + leading
+    assert forecast(made, 1)["at_least"]["seconds"] == pytest.approx(longer)
     toys.run(many, results)
     assert toys.prepared(many, results).costs().drawing == 3.0 * drawing
 
