@@ -7,6 +7,7 @@ threads of their libraries would wait for one another, which took most of the ti
 import atexit
 import os
 import shutil
+import sys
 import tempfile
 from pathlib import Path
 
@@ -20,6 +21,10 @@ settings.load_profile("reproducible")
 
 for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM"):  # read when NumPy is imported
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+
+# Processes are many, and each would compile all sources anew where none may keep them compiled.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 _notes = Path(tempfile.mkdtemp(prefix="demflow-tests-"))
 atexit.register(shutil.rmtree, _notes, ignore_errors=True)

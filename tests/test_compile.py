@@ -68,6 +68,7 @@ def small_model(folder: Path) -> dict[str, str]:
     (package / "caller.py").write_text(CALLER)
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
     environment["PYTHONPATH"] = str(folder)
+    environment["PYTHONDONTWRITEBYTECODE"] = "1"  # what is edited twice a second looks unchanged
     environment.pop("NUMBA_DISABLE_JIT", None)
     return environment
 
