@@ -27,15 +27,13 @@ def rock():
     )  # fmt: skip
 
 
-def pressed(rock, degrees: float) -> StrengthTest:
+def pressed(rock, degrees: float, **how: float) -> StrengthTest:
     """A test with a joint through the middle of the specimen, at an angle to its flat ends."""
     along = 0.2 * np.array([np.cos(np.radians(degrees)), np.sin(np.radians(degrees))])
     joint = Joint(
         normal_stiffness=2e13, shear_stiffness=2e13, friction=np.tan(np.radians(FRICTION))
     )
-    test = FailureTest(
-        confining_stress=CONFINING, confinement="membrane", strain_step=2e-7, largest_strain=1.5e-3
-    )
+    test = FailureTest(confining_stress=CONFINING, confinement="membrane", **how)
     return strength(
         rock, normal_stiffness=KN, stiffness_ratio=2.5, friction=0.5, bonds=BONDS, test=test,
         joints=(JointLine(tuple(-along), tuple(along), joint),),
@@ -44,7 +42,7 @@ def pressed(rock, degrees: float) -> StrengthTest:
 
 @pytest.mark.parametrize("degrees", [45.0, 55.0, 60.0])
 def test_a_joint_slides_when_its_friction_is_mobilised(rock, degrees: float) -> None:
-    found = pressed(rock, degrees)
+    found = pressed(rock, degrees, strain_step=2e-7, largest_strain=6e-4)
     mobilised = np.degrees(mobilised_friction(found.axial_stress, CONFINING, np.radians(degrees)))
     assert mobilised.max() == pytest.approx(FRICTION, abs=3.0)
     sliding = mobilised[len(mobilised) // 2 :]
@@ -54,6 +52,6 @@ def test_a_joint_slides_when_its_friction_is_mobilised(rock, degrees: float) -> 
 
 def test_a_joint_flatter_than_its_friction_angle_holds(rock) -> None:
     with pytest.raises(ModelError, match="no peak") as caught:
-        pressed(rock, 10.0)
+        pressed(rock, 10.0, strain_step=1e-6, largest_strain=1.2e-3)
     borne = float(re.findall(r"it bears ([\d.e+]+) Pa", str(caught.value))[0])
     assert borne > 60e6
