@@ -49,10 +49,19 @@ def spawned_workers():
         yield
 
 
-@pytest.fixture(scope="module")
-def one_worker():
-    """All runs of a module go to one worker process that stands for as long as the tests do."""
+@pytest.fixture(scope="session")
+def standing_worker():
+    """A worker process that stands for as long as the tests do."""
     from tests import standing  # with all of Dask
 
-    with standing.one_worker():
+    with standing.standing_worker() as scheduler:
+        yield scheduler
+
+
+@pytest.fixture(scope="module")
+def one_worker(standing_worker):
+    """All runs of a module go to one worker that stands."""
+    from tests import standing  # with all of Dask
+
+    with standing.runs_on(standing_worker):
         yield

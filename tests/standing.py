@@ -53,40 +53,50 @@ def spawned_workers() -> Iterator[None]:
         yield
 
 
+def _start(workers: int, **options: Any) -> LocalCluster:
+    """A scheduler in this process, and workers forked beside it."""
+    _fork_server()
+    return LocalCluster(
+        n_workers=workers,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        silence_logs=50,
+        **options,
+    )
+
+
 @contextmanager
 def forked_cluster(workers: int, **options: Any) -> Iterator[LocalCluster]:
     """A scheduler in this process, and workers forked beside it, while a `with` block runs."""
-    with (
-        forked_workers(),
-        config.set({METHOD: "forkserver"}),
-        LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            host="127.0.0.1",
-            dashboard_address="127.0.0.1:0",
-            silence_logs=50,
-            **options,
-        ) as cluster,
-    ):
+    with config.set({METHOD: "forkserver"}), _start(workers, **options) as cluster:
         yield cluster
 
 
 @contextmanager
-def one_worker() -> Iterator[None]:
-    """Have runs on workers of their own go to one that stands while a `with` block runs."""
-    with config.set(SETTINGS), forked_cluster(1) as cluster:
+def standing_worker() -> Iterator[str]:
+    """A worker set up as those of runs are, while a `with` block runs; its scheduler's address."""
+    with config.set(SETTINGS | {METHOD: "forkserver"}):  # which are read at the start
+        cluster = _start(1)
+    with cluster:
+        yield cluster.scheduler_address
 
-        class Standing(RemotePool):
-            """The worker that stands, which sees the store of every run."""
 
-            shares_store = True
-            look_every = 0.2
+@contextmanager
+def runs_on(scheduler: str) -> Iterator[None]:
+    """Have runs on workers of their own go to one that stands, while a `with` block runs."""
 
-            def __init__(self, workers: int, memory: float | None = None):
-                super().__init__(cluster.scheduler_address)
+    class Standing(RemotePool):
+        """The worker that stands, which sees the store of every run."""
 
-        with mock.patch("demflow.sweep.execution.loop.LocalPool", Standing):
-            yield
+        shares_store = True
+        look_every = 0.2
+
+        def __init__(self, workers: int, memory: float | None = None):
+            super().__init__(scheduler)
+
+    with mock.patch("demflow.sweep.execution.loop.LocalPool", Standing):
+        yield
 
 
 def _fork_server() -> int:
