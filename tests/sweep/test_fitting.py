@@ -274,7 +274,9 @@ def test_without_rates_the_changes_that_the_pressure_shows_are_told(tmp_path, ca
     assert "changes that the pressure shows" in said
     assert "e+05 s (1.000)" in said
     assert "has no rates" in said
-    path.write_text(STUDY.replace("[2e5 s", "[1.7e5 s"))
+    alone = STUDY.replace("[homogeneous, fault]", "[homogeneous]")
+    alone = alone.replace("    distance: [5 m, 1000 m]\n", "")
+    path.write_text(alone.replace("[2e5 s", "[1.7e5 s"))
     assert main(["fit", str(path), "--results", str(tmp_path / "results"), "--no-figure"]) == 0
     assert "later than the rates change: two clocks?" in capsys.readouterr().err
 
