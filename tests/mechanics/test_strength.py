@@ -237,9 +237,7 @@ def test_confining_stress_is_held_by_a_slow_test(rock, confining: float) -> None
 
 def test_confining_stress_that_a_fast_test_loses_is_told(rock) -> None:
     """The walls lag behind grains that widen, the more the faster the platens are."""
-    slow, fast = (
-        outcome(bonds(), confining_stress=1e5, strain_step=step) for step in (1e-6, 2e-5)
-    )
+    slow, fast = (outcome(bonds(), confining_stress=1e5, strain_step=step) for step in (1e-6, 2e-5))
     assert float(fast.confining_deviation) > 2.0 * float(slow.confining_deviation)
     assert int(fast.confinement_held) == 0
 
@@ -273,9 +271,7 @@ def test_cemented_joints_count_as_they_break(rock) -> None:
 
 
 def test_slower_is_the_same(rock) -> None:
-    one, two = (
-        outcome(bonds(), confining_stress=1e6, strain_step=step) for step in (2e-6, 1e-6)
-    )
+    one, two = (outcome(bonds(), confining_stress=1e6, strain_step=step) for step in (2e-6, 1e-6))
     assert float(two.youngs_modulus) == pytest.approx(float(one.youngs_modulus), rel=0.01)
     assert float(two.poissons_ratio) == pytest.approx(float(one.poissons_ratio), abs=0.01)
     assert float(two.peak_strength) == pytest.approx(float(one.peak_strength), rel=0.05)
