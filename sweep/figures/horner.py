@@ -31,6 +31,7 @@ from demflow.sweep.study.reservoir import Rock
 from demflow.sweep.study.units import parse_unit
 
 _MOST = (5, 3)  # values shown by colour and by line style
+_INSIDE = 6  # names that have room among the curves
 
 
 def production_time(well: Well) -> float | None:
@@ -127,6 +128,8 @@ def draw_horner(
     assert figure is not None
     if narrow():
         figure.legend(loc="outside lower left")
+    elif drawn > _INSIDE:
+        figure.legend(loc="outside lower left", ncols=2, handlelength=1.3, columnspacing=1.0)
     else:
         panel.legend()
     caption = (

@@ -26,7 +26,7 @@ from demflow.sweep.figures.style import (
     shorten,
 )
 
-MOST_TICKS, LETTERS = 7, 16  # names along an axis, and of each
+MOST_TICKS, LETTERS, LINES = 7, 24, 3  # names along an axis, and of each
 FEW = 8  # values over two axes that lines can still tell
 
 
@@ -129,7 +129,8 @@ def _name_places(dataset: xr.Dataset, x: str, y: str, panel: Axes) -> None:
     for axis, name in ((panel.xaxis, x), (panel.yaxis, y)):
         count = dataset.sizes[name]
         places = range(0, count, -(-count // MOST_TICKS))
-        name_ticks(axis, places, [shorten(axis_value(dataset, name, k), LETTERS) for k in places])
+        names = _names(dataset, name)
+        name_ticks(axis, places, [names[k] for k in places])
         axis.set_label_text(axis_title(name))
     for text in panel.get_xticklabels():
         text.set(rotation=35, horizontalalignment="right")
@@ -206,13 +207,19 @@ def strongest(dataset: xr.Dataset, values: xr.DataArray) -> tuple[str, str] | No
     return x, y
 
 
+def _names(dataset: xr.Dataset, axis: str) -> list[str]:
+    """What the values of an axis are called; what several tied ones are on lines of their own."""
+    values = (axis_value(dataset, axis, k).split(", ") for k in range(dataset.sizes[axis]))
+    return ["\n".join(shorten(part, LETTERS) for part in parts[:LINES]) for parts in values]
+
+
 def _figure(
     dataset: xr.Dataset, fields: list[xr.DataArray], x: str, y: str, *, ellipses: bool = False
 ) -> Figure:
     """A panel of colours with its bar for each field; ellipses beside them."""
     count = len(fields) + ellipses
     longest, beside = (
-        max(len(shorten(axis_value(dataset, one, k), LETTERS)) for k in range(dataset.sizes[one]))
+        max(len(line) for name in _names(dataset, one) for line in name.split("\n"))
         for one in (x, y)
     )
     figure, panels = fixed_panels(

@@ -134,6 +134,16 @@ def test_a_drawdown_over_two_axes_needs_more_than_lines_can_tell(tmp_path):
     assert few is None
 
 
+def test_names_of_tied_values_are_told_apart_along_an_axis(panel):
+    """Also where they begin alike."""
+    rates = {"west_rate": [1e-5, 1e-5, -1e-5], "east_rate": [-1e-5, 0.0, 1e-5]}
+    tied = {name: ("rates", values, {"units": "m3 s-1"}) for name, values in rates.items()}
+    dataset = study().drop_vars("seed").rename(seed="rates").assign_coords(tied)
+    dataset.demflow.plot_over(dataset.permeability[..., 0, 0], "angle", "rates", panel)
+    shown = [text.get_text() for text in panel.get_yticklabels()]
+    assert len(set(shown)) == 3, shown
+
+
 def test_a_rose_reaches_as_far_as_the_rock_is_permeable(panel):
     dataset = study(seeds=1)
     dataset.demflow.plot_permeability_rose(panel)
