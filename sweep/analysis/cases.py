@@ -125,8 +125,11 @@ def power_of_ten(exponent: int) -> str:
 
 
 def axis_title(name: str) -> str:
-    """An axis's name in words: `fracture_angle` is `fracture angle`."""
-    return name.replace("_", " ")
+    """An axis's name in words: `fracture_angle` is `fracture angle`.
+
+    A coordinate that is called as a variable is ends in `_`, which is no part of its name.
+    """
+    return name.rstrip("_").replace("_", " ")
 
 
 def axis_value(dataset: xr.Dataset, axis: str, position: int) -> str:

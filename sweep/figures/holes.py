@@ -14,7 +14,7 @@ from matplotlib.collections import LineCollection
 
 from demflow.model.region import bounding_box
 from demflow.model.scene import Scene
-from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.analysis.cases import axes, axis_title, case_title, display
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.maps import rims
 from demflow.sweep.figures.rates import MOST_CURVES, draw_rates, in_powers
@@ -140,7 +140,7 @@ def draw_inflow(
     count = len(known) * math.prod(dataset.sizes[a] for a in others)
     for number, (name, *at) in enumerate(itertools.islice(cases, MOST_CURVES)):
         place = dict(zip(others, at, strict=True))
-        told = [f"{axis_title(a)} {axis_value(dataset, a, k)}" for a, k in place.items()]
+        told = [named] if (named := case_title(dataset, place)) else []
         one = {"boundary": name}
         panel.errorbar(
             dataset[x].values * factor,

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from demflow.model.outcome import Status
 from demflow.model.scene import Well
-from demflow.sweep.analysis.cases import Index, axes, axis_title, axis_value, display, with_unit
+from demflow.sweep.analysis.cases import Index, axes, case_title, display, with_unit
 from demflow.sweep.analysis.straight_lines import Rates, StraightLine, abscissa, straight_line
 from demflow.sweep.figures.style import (
     BLUE,
@@ -86,11 +86,7 @@ def draw_horner(
         shut = since > 0
         if np.count_nonzero(shut) < 2:
             continue
-        named = ", ".join(
-            f"{axis_title(name)} {axis_value(dataset, name, at)}"
-            for name, at in ((colour, i), (style, j))
-            if name
-        )
+        named = case_title(dataset, {name: at for name, at in ((colour, i), (style, j)) if name})
         pressure, colour_here = (
             case["well_pressure"].sel(well=well).values,
             shades("Blues", len(colours))[c],

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from demflow.model.outcome import Status
-from demflow.sweep.analysis.cases import axes, axis_title, axis_value, display
+from demflow.sweep.analysis.cases import axes, case_title, display
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.figures.style import (
     LINE_STYLES,
@@ -179,5 +179,4 @@ def _cases(dataset: xr.Dataset) -> Iterator[tuple[xr.Dataset, dict[str, Any]]]:
             continue
         look: dict[str, Any] = {"color": colours[places[0][0] if places else 0]}
         look["linestyle"] = LINE_STYLES[places[1][0] if len(places) > 1 else 0]
-        named = ", ".join(f"{axis_title(a)} {axis_value(dataset, a, k)}" for a, k in at.items())
-        yield case, look | {"label": legend_text(named)}
+        yield case, look | {"label": legend_text(case_title(dataset, at))}

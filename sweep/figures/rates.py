@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from demflow.sweep.analysis.cases import axes, axis_title, axis_value, done, power_of_ten
+from demflow.sweep.analysis.cases import axes, axis_title, case_title, done, power_of_ten
 from demflow.sweep.figures.style import (
     LINE_STYLES,
     legend_text,
@@ -63,7 +63,7 @@ def draw_rates(
                 scale * one.isel(at).sel({along: name}).transpose("elapsed_time").values[seen]
                 for one in (mean, spread)
             )
-            told = [f"{axis_title(axis)} {axis_value(dataset, axis, k)}"] if axis else []
+            told = [named] if (named := case_title(dataset, {axis: k} if axis else {})) else []
             words = ", ".join([name, *told] if len(names) > 1 else told) or name
             look = {"color": colour, "linestyle": style, "label": legend_text(words)}
             panel.plot(times[seen] * factor, own, marker="." if len(own) <= 12 else "", **look)
@@ -79,8 +79,7 @@ def draw_rates(
         plain_log_ticks(panel.yaxis)
     panel.legend()
     caption = f"{what.capitalize()} of {', '.join(names[:MOST_CURVES])} in time"
-    others = [a for a in held if dataset.sizes[a] > 1]
-    fixed = ", ".join(f"{axis_title(a)} {axis_value(dataset, a, held[a])}" for a in others)
+    fixed = case_title(dataset, held)
     caption += f", at {fixed}" if fixed else ""
     if axis and len(shown) < dataset.sizes[axis]:
         caption += f"; {len(shown)} of {dataset.sizes[axis]} values of {axis_title(axis)}"

@@ -8,6 +8,7 @@ import pytest
 from study_text import EXAMPLE, SMALL, load
 
 from demflow.model.parameters import SceneError
+from demflow.sweep.analysis.cases import axis_title
 from demflow.sweep.study.axes import Axis
 from demflow.sweep.study.cases import Case, case_at, coordinates
 from demflow.sweep.study.scenes import SceneBuilder
@@ -161,3 +162,8 @@ def test_names_of_coordinates_are_unique_and_free(tmp_path):
 def test_units_as_cf_writes_them(unit, cf):
     axis = Axis("a", ("x.y",), ((1.0,),), (unit,), ("x_y",), ("what",))
     assert coordinates(axis)[0].unit == cf
+
+
+def test_a_coordinate_that_had_to_make_way_is_called_as_what_it_is():
+    assert axis_title("matrix_aperture_") == "matrix aperture"
+    assert axis_title("stress_yy") == "stress yy"
