@@ -421,12 +421,13 @@ def _parted(network: Network, stress: StressState | None) -> np.ndarray:
     """Number of pipes of the region whose grains have parted under the stress."""
     if stress is None:
         return np.asarray(0)
-    from demflow.model.network.apertures import pipe_gaps, with_feet
+    from demflow.model.network.apertures import pipe_contacts, pipe_gaps, with_feet
 
     stress = with_feet(network, stress)
     assert stress is not None
     inside = network.inside[network.pipe_from] | network.inside[network.pipe_to]
-    return np.asarray(np.count_nonzero(inside & (pipe_gaps(network, stress) > 0.0)))
+    gap = pipe_gaps(network, stress, pipe_contacts(network, stress))
+    return np.asarray(np.count_nonzero(inside & (gap > 0.0)))
 
 
 def observe_flow(history: History, controls: Controls) -> dict[str, np.ndarray]:

@@ -357,7 +357,7 @@ def _stressed(
         half = matrix.half_stress * np.where(other == 0.0, 2.0 * one, one + other)
     contact = pipe_contacts(network, stress)
     force = np.where(contact >= 0, stress.normal_force[contact], 0.0)
-    gap = np.maximum(pipe_gaps(network, stress), 0.0)
+    gap = np.maximum(pipe_gaps(network, stress, contact), 0.0)
     return np.where(
         force > 0.0,
         stressed_aperture(unstressed, np.maximum(force, 0.0), half),
@@ -417,16 +417,16 @@ def pipe_contacts(network: Network, stress: StressState) -> np.ndarray:
     return np.where(known[found] == key, found, -1)
 
 
-def pipe_gaps(network: Network, stress: StressState) -> np.ndarray:
+def pipe_gaps(network: Network, stress: StressState, contact: np.ndarray) -> np.ndarray:
     """Gap between the grains at each pipe, (p,) in m, negative where they overlap.
 
     Across a smooth joint it is the joint's own: grains that slide past each other along it
-    part without opening it. Beside a grain that was taken away there is none.
+    part without opening it. Beside a grain that was taken away there is none. `contact` (p,) is
+    that of each pipe, as `pipe_contacts` gives it.
     """
     a, b = network.pipe_grain_a, network.pipe_grain_b
     distance = np.hypot(stress.x[a] - stress.x[b], stress.y[a] - stress.y[b])
     taken = np.isnan(distance)
-    contact = pipe_contacts(network, stress)
     opening = np.where(contact >= 0, stress.joint_gap[contact], np.nan)
     touching = (
         network.grain_radius[network.pipe_grain_a] + network.grain_radius[network.pipe_grain_b]

@@ -155,7 +155,9 @@ def _seen_from(
     ours = np.flatnonzero((edges.a == len(network.x) + k) & (edges.way >= 0))
     place = np.column_stack([apertures.node_x, apertures.node_y])
     if len(wells.taken[k]) == 1:
-        kept = ~np.isin(cuts.way, ours) | (cuts.node < 0)
+        other = np.ones(len(edges.a), dtype=bool)
+        other[ours] = False
+        kept = other[cuts.way] | (cuts.node < 0)
         found = [cuts.only(kept)]
         for line in lines.tolist():
             start, end, nodes = _stretch(apertures, line, wells.spacing[k])

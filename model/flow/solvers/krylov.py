@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.equation.algebraic import algebraic
 from demflow.model.flow.equation.balance import steady_flow, transient_misfit
 from demflow.model.flow.equation.problem import (
@@ -269,7 +270,7 @@ class Growth:
     def to_tolerance(self, problem: Problem) -> float:
         """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
 
-        A space that has grown already is first judged as it is, by the problem's scales.
+        A space that has grown so far already is first judged as it is, by the problem's scales.
         Where rates lie so far apart that round-off hides the tolerance, the space grows until
         nothing is gained any more; the error is then that which the last vectors show.
         """
@@ -277,7 +278,8 @@ class Growth:
         if space.size == 0:
             return 0.0  # nothing that the source could move
         self._judge_by(problem)
-        wait, grown = 0, space.size >= TUNED.shortest
+        wait, error = 0, self._error
+        grown = space.size >= TUNED.shortest and error <= tolerance
         seen: dict[int, float] = {}
         while grown or space.size < MOST_VECTORS:
             if not grown:
@@ -404,19 +406,13 @@ class Growth:
         """Largest relative change of an output between two sizes."""
         now = self._seen(size)
         if size not in self._scales:
-            scale = self.problem.scale(self.source, now, self.at)
-            self._scales = {size: np.where(scale > 0.0, scale, np.inf)}
-        change = now - self._seen(before)
-        np.abs(change, out=change)
-        change /= self._scales[size]
-        return _largest(change)
+            self._scales = {size: self.problem.scale(self.source, now, self.at)}
+        return float(_largest_change(now, self._seen(before), self._scales[size]))
 
     def _field_change(self, size: int, before: int) -> float:
         """Largest change of the field between two sizes over the largest field, in the C-norm."""
-        now = self._known(size)
-        change = _less(now, self._known(before))
-        largest = _largest(np.vecdot(now, now))
-        return math.sqrt(_largest(np.vecdot(change, change)) / largest) if largest > 0.0 else 0.0
+        largest, change = _largest_squares(self._known(size), self._known(before))
+        return math.sqrt(change / largest) if largest > 0.0 else 0.0
 
     def _map_change(self, size: int, before: int) -> float:
         """Largest change of a map between two sizes over the largest pressure."""
@@ -435,6 +431,38 @@ class Growth:
 def _largest(values: np.ndarray) -> float:
     """The largest of values ≥ 0; 0 of none."""
     return float(np.maximum.reduce(values, axis=None, initial=0.0))
+
+
+@kernel
+def _largest_change(now: Array, before: Array, scale: Array) -> float:
+    """The largest change of values (l, o) over their scales, of those whose scale is above zero."""
+    largest = 0.0
+    for k in range(now.shape[0]):
+        for o in range(now.shape[1]):
+            if scale[k, o] > 0.0:
+                change = abs(now[k, o] - before[k, o]) / scale[k, o]
+                if not change <= largest:  # nor is one that is no number
+                    largest = change
+    return largest
+
+
+@kernel
+def _largest_squares(now: Array, before: Array) -> tuple[float, float]:
+    """The largest square of rows (l, k), and of what they differ by from shorter ones."""
+    largest = most = 0.0
+    for k in range(now.shape[0]):
+        square = change = 0.0
+        for c in range(now.shape[1]):
+            value = now[k, c]
+            square += value * value
+            if c < before.shape[1]:
+                value -= before[k, c]
+            change += value * value
+        if not square <= largest:
+            largest = square
+        if not change <= most:
+            most = change
+    return largest, most
 
 
 def _less(now: np.ndarray, before: np.ndarray) -> np.ndarray:

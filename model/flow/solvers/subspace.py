@@ -239,12 +239,16 @@ class Subspace:
 
     def measure(self) -> None:
         """Project anew, from the edge differences of the basis."""
-        system, m = self.system, self.count
-        self._triangle = edge_triangle(system, self._unscaled(), m)
+        self._measure(self._unscaled())
+        self._scale()
+
+    def _measure(self, pressures: np.ndarray) -> None:
+        """Project anew, from the basis as pressures (n, ≥ m)."""
+        m = self.count
+        self._triangle = edge_triangle(self.system, pressures, m)
         # or the errors of the recurrence would grow with every further vector
         self._projected[:m, :m] = self._triangle.T @ self._triangle
         self._modes.clear()
-        self._scale()
 
     def close(self, noise: float) -> Basis:
         """Complete the space by the constants, so that volume is conserved.
@@ -253,19 +257,18 @@ class Subspace:
         A would leave round-off of the strongest edge, however little flows there. The projection
         is measured where its round-off may exceed `noise`. The space is used up by this.
         """
-        system = self.system
-        if self._append(self.root):
-            m = self.count
-            column = _last_column(system, self._unscaled(), m)
-            self._scale()
+        added = self._append(self.root)
+        pressures, m = self._unscaled(), self.count
+        if added:
+            column = _last_column(self.system, pressures, m)
             column[: self.start] = 0.0
             self._projected[:m, m - 1] = self._projected[m - 1, :m] = column
         if self.noise() > noise:
-            self.measure()
-        modes = self.modes(self.size)
-        vectors = self._unscaled()[:, : self.count]
-        rows = self._rows[:, : self.count]
-        return Basis(vectors, modes, rows, system.storage @ vectors)
+            self._measure(pressures)
+        vectors = pressures[:, :m]
+        return Basis(
+            vectors, self.modes(self.size), self._rows[:, :m], self.system.storage @ vectors
+        )
 
     def _unscaled(self) -> np.ndarray:
         """The basis as pressures of all unknowns, in place."""

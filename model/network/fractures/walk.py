@@ -168,6 +168,8 @@ def _tips(joints: Topology, at_rim: np.ndarray) -> np.ndarray:
 
 def _tip_reach(network: Network, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """`TIP_REACH` of the spacing of the pores around each end of lines, (2, lines) m."""
+    if not len(start):
+        return np.empty((2, 0))
     inside = np.flatnonzero(network.inside)
     pores = cKDTree(np.column_stack([network.x[inside], network.y[inside]]))
     few = min(AROUND_TIP, len(inside))
