@@ -41,6 +41,26 @@ def trace_vectors(maps: xr.Dataset) -> np.ndarray:
     )
 
 
+def trace_lengths(maps: xr.Dataset) -> np.ndarray:
+    """Lengths of traces with all their bends, (t,) m. Raises ResultsError where there is none.
+
+    The straight pieces of one follow each other, and each begins where the one before ends.
+
+    Parameters
+    ----------
+    maps : of one case, as `open_case` gives them
+    """
+    length = np.hypot(*trace_vectors(maps).T)
+    goes_on = np.zeros(len(length), dtype=bool)
+    goes_on[1:] = np.logical_and.reduce(
+        [
+            maps[f"trace_to_{axis}"].values[:-1] == maps[f"trace_from_{axis}"].values[1:]
+            for axis in "xy"
+        ]
+    )
+    return np.asarray(np.bincount(np.cumsum(~goes_on) - 1, length))
+
+
 def plot_rose(maps: xr.Dataset, panel: Axes) -> Axes:
     """Draw how much length of traces points where, as sectors of 10°; return the axes.
 
@@ -74,7 +94,10 @@ def plot_rose(maps: xr.Dataset, panel: Axes) -> Axes:
     for text, x, y in (("0°", 1.1, 0.0), ("90°", 0.0, 1.12)):
         panel.text(x, y, text, ha="center", va="center", color=GREY)
     _bare(panel, (-1.25, 1.25), (-1.25, 1.25))
-    panel.set_title(f"{len(vectors)} traces, rim {100 * part.max():.3g} % of length")
+    count = len(trace_lengths(maps))
+    panel.set_title(
+        f"{count} trace{'' if count == 1 else 's'}, rim {100 * part.max():.3g} % of length"
+    )
     return panel
 
 
@@ -90,7 +113,7 @@ def plot_lengths(maps: xr.Dataset, panel: Axes) -> Axes:
 
     Raises ResultsError where there are no traces.
     """
-    length = np.sort(np.hypot(*trace_vectors(maps).T))[::-1]
+    length = np.sort(trace_lengths(maps))[::-1]
     panel.plot(length, np.arange(1, len(length) + 1), ".", color=BLUE, markersize=4)
     panel.set(xscale="log", yscale="log", xlabel="length of trace (m)", ylabel="traces as long")
     return panel

@@ -176,6 +176,20 @@ def test_as_many_traces_are_as_long_as_is_shown(panel):
         xr.Dataset().demflow.plot_rose(panel)
 
 
+def test_a_trace_with_bends_is_one(panel):
+    bends = np.cumsum(RNG.normal(size=(40, 7, 2)), axis=1)  # 40 traces of 6 pieces
+    begin, end = (part.reshape(-1, 2) for part in (bends[:, :-1], bends[:, 1:]))
+    ends = zip("xy", begin.T, end.T, strict=True)
+    pieces = {f"trace_{way}_{a}": v for a, b, e in ends for way, v in (("from", b), ("to", e))}
+    dataset = xr.Dataset({name: ("trace", values) for name, values in pieces.items()})
+    dataset.demflow.plot_lengths(panel)
+    along = np.linalg.norm(np.diff(bends, axis=1), axis=2).sum(axis=1)
+    np.testing.assert_allclose(panel.lines[0].get_xdata(), np.sort(along)[::-1], rtol=1e-12)
+    panel.clear()
+    dataset.demflow.plot_rose(panel)
+    assert panel.get_title().startswith("40 traces")
+
+
 def test_nodes_lie_at_their_parts_of_the_triangle(panel):
     dataset = study()
     dataset.demflow.plot_topology(panel)
