@@ -2,7 +2,8 @@
 PYTHON ?= python3
 BIN := .venv/bin
 NAME ?=
-PROCESSES ?= auto
+# of tests: half as many again as there are cores, since many of them wait for processes
+PROCESSES ?= $(shell expr 3 \* $$(getconf _NPROCESSORS_ONLN) / 2)
 
 .PHONY: demo test quick coverage docs lint format bench peers clean
 .DEFAULT_GOAL := demo
@@ -18,11 +19,11 @@ PROCESSES ?= auto
 demo: .venv/ready  ## run studies/quickstart.yaml on two cores
 	$(BIN)/demflow run studies/quickstart.yaml --workers 2
 
-test: .venv/ready  ## all tests, one process a core
+test: .venv/ready  ## all tests, three processes for two cores
 	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal
 
 quick: .venv/ready  ## laws and units: what answers within a minute
-	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 coverage: .venv/ready  ## all tests, and the lines of demflow that none of them reaches
 	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal --cov=demflow --cov-report=term:skip-covered

@@ -1,6 +1,6 @@
 """Hypothesis draws the same examples on every run, so that a red test stays red.
 
-What runs cost is noted in a cache of the tests' own. There is a process of tests for each core:
+What runs cost is noted in a cache of the tests' own. Processes of tests take all cores:
 threads of their libraries would wait for one another, which took most of the time of dense solves.
 """
 

@@ -63,6 +63,14 @@ def responded(method, **more):
     return respond(method, **more)
 
 
+@functools.cache
+def of_rock(method, viscosity=1e-3, bulk_modulus=1e9, aperture=2e-5, time=1.0):
+    """What two wells do in a rock without fractures, at as many times the usual times."""
+    rock = reservoir(PACKING, REGION, aperture, (), viscosity, bulk_modulus)
+    times = tuple(t * time for t in TIMES)
+    return respond(method, (PRODUCER, INJECTOR), ("left",), times, rock=rock)
+
+
 def test_every_solver_states_its_error_here():
     assert set(ERROR) == set(SOLVERS)
 
@@ -180,7 +188,7 @@ def test_pressures_stay_between_those_that_drive_them(method):
 
 @every
 def test_responses_grow_in_time(method):
-    found = respond(method, tolerance=1e-8)
+    found = responded(method)
     scale = np.abs(found.pressure).max(axis=(1, 2), keepdims=True)
     assert np.all(np.diff(np.abs(found.pressure), axis=1) >= -1e-7 * scale)
 
@@ -198,7 +206,7 @@ def test_wells_are_reciprocal(method):
 @every
 def test_boundaries_and_wells_are_reciprocal(method):
     """A boundary's pressure at a well is the share of the well's rate that the boundary feeds."""
-    found = respond(method, tolerance=1e-10)
+    found = responded(method, tolerance=1e-10, safety_factor=0.5)
     np.testing.assert_allclose(found.output[0, :, 0], found.output[3, :, 2], atol=1e-9)
     np.testing.assert_allclose(found.output[1, :, 1], found.output[4, :, 3], atol=1e-9)
 
@@ -236,11 +244,8 @@ def test_sources_superpose(method):
 def test_scales_as_the_equation_says(method, thing, factor, pressure, time):
     """Time goes with μ / (K_f w³), the drawdown of a rate with μ / w³."""
     base = {"aperture": 2e-5, "viscosity": 1e-3, "bulk_modulus": 1e9}
-    plain = reservoir(PACKING, REGION, **base)
-    other = reservoir(PACKING, REGION, **{**base, thing: base[thing] * factor})
-    wells = (PRODUCER, INJECTOR)
-    one = respond(method, wells, ("left",), rock=plain)
-    two = respond(method, wells, ("left",), tuple(t * time for t in TIMES), rock=other)
+    one = of_rock(method)
+    two = of_rock(method, **{thing: base[thing] * factor}, time=time)
     np.testing.assert_allclose(two.pressure[0], one.pressure[0], atol=1e-7)
     for source in (1, 2):
         scale = np.abs(one.pressure[source]).max()

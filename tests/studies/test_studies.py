@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import re
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -29,7 +30,8 @@ def ran(request, one_worker, tmp_path_factory):
     """A study, its dataset and the folder of its results, from one small run."""
     results = tmp_path_factory.mktemp(request.param.stem)
     study = sweep.load_study(request.param, smoke=True)
-    dataset = sweep.run(request.param, workers=1, results=results, smoke=True)
+    with mock.patch("demflow.sweep.figures.style.DPI", 60):  # as coarse as can be told from none
+        dataset = sweep.run(request.param, workers=1, results=results, smoke=True)
     return study, dataset, results / study.name
 
 
