@@ -39,7 +39,8 @@ class State(IntEnum):
     BLOCKED = 5  # a run that it needs has failed
 
 
-WAITING, READY, RUNNING, DONE, FAILED, BLOCKED = State  # asking an enumeration each time is slow
+# numbers: to ask an enumeration, or to compare numpy's numbers with its members, is slow
+WAITING, READY, RUNNING, DONE, FAILED, BLOCKED = map(int, State)
 
 
 class Tally(NamedTuple):

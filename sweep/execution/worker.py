@@ -250,7 +250,8 @@ def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | No
     loaded = loading.seconds - loaded
     if status is Status.DONE:
         size = made.put(task.id, arrays, meta)
-        _memory[task.id] = arrays
+        if not stage.observed:  # what is observed is read by no stage
+            _memory[task.id] = arrays
     else:
         made.put(task.id, {}, {**meta, "status": int(status), "message": message})
     spent = end - begin, size, memory, compiled

@@ -83,7 +83,7 @@ def test_a_failing_disk_leaves_the_earlier_content(tmp_path, monkeypatch, place,
         raise OSError(28, "No space left on device")
 
     if place == "open":
-        monkeypatch.setattr("io.open", fail)
+        monkeypatch.setattr("builtins.open", fail)
     elif place == "syncfs":
         monkeypatch.setattr(durable, "FEW", 0)
         monkeypatch.setattr(durable, "_syncfs", lambda: fail)
