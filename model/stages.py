@@ -448,7 +448,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="network",
         function="demflow.model.network.domains:network",
-        version=2,
+        version=3,
         parents=("pack",),
         reads={"region": lambda s: s.rock, "walled": _walled},
         options={"even": _evened},
@@ -521,7 +521,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="flow",
         function="demflow.model.flow.solvers.registry:flow",
-        version=23,
+        version=24,
         parents=("network", "open"),
         reads=_FLOW_READS,
         wanted=lambda s: s.flows and not s.coupled,
@@ -534,7 +534,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="reference",
         function="demflow.model.flow.solvers.registry:flow",
-        version=17,
+        version=18,
         parents=("network", "open"),
         reads={
             **_FLOW_READS,

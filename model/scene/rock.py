@@ -122,7 +122,7 @@ class Grains:
         default="leave",
         choices=("leave", "even"),
         help="permeability and porosity differ from place to place as grains happen to lie, or are "
-        "evened over some 60 pores; always so where grains are refined",
+        "evened over some 16 pores; always so where grains are refined",
     )
     modulus: float | None = parameter(
         "Pa", default=None, above=0, help="modulus E_c of grains at a contact, whose k_n is E_c"

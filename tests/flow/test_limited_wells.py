@@ -55,7 +55,7 @@ def both(wells, left=START):
     ("wells", "left"),
     [
         ((producer(rate=RATE, least_pressure=LIMIT),), START),
-        ((producer(rate=RATE, least_pressure=LIMIT),), 1.2 * START),
+        ((producer(rate=RATE, least_pressure=LIMIT),), 1.22 * START),
         (
             (
                 producer(

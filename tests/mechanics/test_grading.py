@@ -97,6 +97,29 @@ def test_evened_rock_conducts_and_stores_alike_everywhere():
     assert np.all(spread[True] < np.array([0.6, 0.9]) * spread[None])
 
 
+@pytest.mark.slow
+def test_evened_rock_conducts_alike_in_every_direction():
+    """What a window of some 100 pores conducts along one axis more than along others."""
+    packed = pack(
+        region=DISC, count=1500, mean_radius=None, packing="random", radius_ratio=1.66,
+        porosity=0.18, seed=6,
+    )  # fmt: skip
+    size = {}
+    for even in (None, True):
+        whole, found = network(packed, region=DISC, even=even), []
+        place = np.column_stack([whole.x, whole.y])
+        step = place[whole.pipe_to] - place[whole.pipe_from]
+        for angle in np.arange(12) * np.pi / 6:
+            far = np.hypot(*(place - 0.6 * np.array([np.cos(angle), np.sin(angle)])).T)
+            near = whole.inside & (far < 0.3)
+            share = near[whole.pipe_from].astype(float) + near[whole.pipe_to]
+            tensor = (step * (share / whole.pipe_length)[:, None]).T @ step
+            low, high = np.linalg.eigvalsh(tensor)
+            found.append((high - low) / (high + low))
+        size[even] = np.mean(found)
+    assert size[True] < 0.6 * size[None]
+
+
 @pytest.mark.parametrize("count", [200, 5000])
 def test_the_coarse_radius_makes_the_count_asked_for(count):
     """Strewn over the region alone, there are as many points."""

@@ -41,9 +41,10 @@ def mobility_around(
 ) -> np.ndarray:
     """Mobility k/μ (2, 2), m²/(Pa s), of the rock around a well of a radius (m), symmetric.
 
-    By the dissipation Σ g Δp_a Δp_b over the area of the pores up to twenty pores from the
-    well's wall, where p = −x and p = −y are imposed a few pores further out and on the rim. Pipes
-    along fractures are left out; zero where nothing else conducts.
+    By the mean flux Q and dissipation D of the pores up to twenty pores from the well's wall, where
+    p = −x and p = −y are imposed a few pores further out and on the rim: Q D⁻¹ Qᵀ, whatever mean
+    gradient that makes of them. Pipes along fractures are left out; zero where nothing else
+    conducts.
 
     Parameters
     ----------
@@ -91,12 +92,15 @@ def mobility_around(
     p = solve(factorise(analyse(len(near), i, j), g, excess), rhs)
 
     drop, end_drop = p[i] - p[j], p[ends] + end_place
+    step, end_step = place[near[j]] - place[near[i]], end_place - place[near[ends]]
     if whole:  # a region of a few pores is measured up to its rim
         share, end_share, area = np.ones(len(i)), np.ones(len(ends)), region.area
     else:
         share = 0.5 * (measured[i].astype(float) + measured[j])
         end_share, area = 0.5 * measured[ends], float(network.area[near[measured]].sum())
-    mobility = drop.T @ ((share * g)[:, None] * drop)
-    mobility += end_drop.T @ ((end_share * end_g)[:, None] * end_drop)
-    found: np.ndarray = 0.5 * (mobility + mobility.T) / area
+    flow, end_flow = (share * g)[:, None] * drop, (end_share * end_g)[:, None] * end_drop
+    dissipation = (drop.T @ flow + end_drop.T @ end_flow) / area
+    flux = (step.T @ flow + end_step.T @ end_flow) / area
+    mobility = flux @ np.linalg.pinv(dissipation, hermitian=True) @ flux.T
+    found: np.ndarray = 0.5 * (mobility + mobility.T)
     return found
