@@ -164,7 +164,7 @@ def test_soft_and_stiff_fluids_keep_their_books(bulk_modulus):
 
 
 def test_bonds_without_strength_break_at_once_and_the_rock_comes_apart():
-    found = run(packed(120), rock(WEAK), wet(), rate=-1e-6, times=(1e-3,))
+    found = run(packed(90), rock(WEAK), wet(), rate=-1e-6, times=(1e-3,))
     assert np.all(found.events.time == 0.0)
     assert len(found.events.time) > 20
     assert any(word in str(found.state.stopped) for word in ("apart", "free", "ran away"))

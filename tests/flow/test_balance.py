@@ -50,7 +50,7 @@ def system_of(n, i, j, g, node, source, fixed_g) -> System:
     )
 
 
-def random_system(seed, strong=1e12, n=36) -> System:
+def random_system(seed, strong=1e12, n=30) -> System:
     """A connected graph, a part of its edges far stronger than the others."""
     rng = np.random.default_rng(seed)
     i, j = random_graph(rng, n, n)

@@ -191,7 +191,7 @@ def test_lattice_cemented_across_gaps_has_the_moduli_of_its_cement(ratio: float)
 @pytest.mark.parametrize("gap", [0.0, 0.05, 0.1])
 def test_moduli_are_those_of_the_elastic_energy(gap: float) -> None:
     """Energy per area is half of strain × stiffness × strain, however stress is averaged."""
-    rock = packed(0.165, count=1000)
+    rock = packed(0.165, count=500)
     cement = replace(STRONG["parallel"], installation_gap=gap)
     found = elastic_moduli(
         rock, normal_stiffness=1.0, stiffness_ratio=2.5, friction=0.5, bonds=cement

@@ -212,7 +212,7 @@ def test_a_joint_that_slides_dilates():
         )  # fmt: skip
         scene = Scene(
             region=Rectangle(10.0, 10.0),
-            grains=Grains(count=600, seed=2, porosity=0.17, modulus=2e10),
+            grains=Grains(count=300, seed=2, porosity=0.17, modulus=2e10),
             bonds=Bonds(kind="parallel", tensile_strength=5e8, shear_strength=5e8),
             stress=Stress(2e7, 6e6),
             matrix=Matrix(permeability=1e-15),
