@@ -164,7 +164,7 @@ class StudyPage:
                 f"`{name}`" for name, one in {**quantities.CASE, **quantities.MAPS}.items()
                 if word in one.needs
             ]  # fmt: skip
-            run = ", ".join(f"*{one}*" for one in stages)
+            run = ", ".join(f"*{one}*" for one in stages or ("pack",))
             rows.append(f"| `{word}` | {', '.join(gives)} | {run} |\n")
         self.parts.append(
             "## observe\n\nA list of what is wanted; it decides what is run.\n\n"
