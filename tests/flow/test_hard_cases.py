@@ -176,7 +176,7 @@ def test_flow_behind_a_wall_of_1e12_is_right_to_the_last_digits():
 def test_what_a_wall_of_1e12_lets_through_is_what_the_pores_lose(method, sides):
     """The volume balances at every time, and the flow at the end is that of the well."""
     wall = Trace(name="wall", transmissibility_multiplier=1e-12, start=(0.0, -1.0), end=(0.0, 1.0))
-    rock = reservoir(square_lattice(1.3, R, (R / 3, R)), BOX, 1e-5, (wall,))
+    rock = reservoir(square_lattice(1.3, 2 * R, (2 * R / 3, 2 * R)), BOX, 1e-5, (wall,))
     well = (Well(name="w", at=(0.6, 0.0), radius=0.01, rate=1.0),)
     last = 20 * LIMIT if method == "explicit" else 1e18 * LIMIT
     times = tuple(np.geomspace(LIMIT, last, 12))
