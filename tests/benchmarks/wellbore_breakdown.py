@@ -1,46 +1,66 @@
 """Breakdown pressure and direction of a wellbore's fracture against 3 σ3 − σ1 + T.
 
-Fluid is injected slowly into a hole of five and of ten mean radii, under stresses of 1:1, 2:1 and
-3:1, until a fracture runs from it (Hubbert & Willis 1957). T is what a test in direct tension
-measures on grains of the same packing and cement. Breakdown is the pressure from which the well
-first falls while fluid is still injected (as in a field test: Haimson & Cornet 2003, Int. J. Rock
-Mech. Min. Sci. 40, 1011); what the fracture needs to grow through grains afterwards may be higher,
-the more so near walls, and is none of the formula's. The formula is of a fluid that stays
-in the hole and of rock without grains: fluid that leaks into the wall lowers the ratio; a wall that
-the stresses stretch over a grain's size alone bears more than T, so that the ratio is above 1 where
-they differ, the less the more grains the wall has. The fracture's direction is the principal axis
-through the hole of the contacts that injection broke, weighed by their lengths, off the largest
-stress. Cement bears twice the largest stress, so that no contact breaks as the hole is drilled.
+Fluid is injected into a hole of five and of ten mean radii, under stresses of 1:1, 2:1 and 3:1,
+until a fracture runs from it (Hubbert & Willis 1957). T is what a test in direct tension measures
+on grains of the same packing and cement. Breakdown is the pressure from which the well first falls
+while fluid is still injected (as in a field test: Haimson & Cornet 2003, Int. J. Rock Mech. Min.
+Sci. 40, 1011); what the fracture needs to grow through grains afterwards may be higher, the more so
+near walls, and is none of the formula's.
 
-Where the fluid enters the wall in full, the formula is 3 σ3 − σ1 + T over 2 (1 − η), with
-η = (1 − 2 ν) / (2 (1 − ν)) (Haimson & Fairhurst 1967, Soc. Petrol. Engrs. J. 7, 310). By the ν' of
-plane strain in the plane, ν' = ν / (1 − ν), that is a factor of 1 / (1 + ν'); it stands beside, as
-the lower bound that injection goes towards as it becomes slow.
+The formula is of an elastic rock without grains or end, of a fluid that stays in the hole, and of a
+T that no compression across it lessens. What comes near to that, and how near:
+
+- *Fluid.* It is injected so fast that little leaks before breakdown, which is told; a third of the
+  rate and its threefold give the mean of three packings within 1.3 %, at 1:1 and 10 R. Where fluid
+  enters the wall in full, the formula is 3 σ3 − σ1 + T over 2 (1 − η), η = (1 − 2 ν) / (2 (1 − ν))
+  (Haimson & Fairhurst 1967, Soc. Petrol. Engrs. J. 7, 310). By the ν' of plane strain in the plane,
+  ν' = ν / (1 − ν), that is a factor of 1 / (1 + ν'); it stands beside.
+- *Walls.* They stand 6.2 and 4.4 hole radii from its middle, at 5 and 10 R, and keep stresses. By
+  Lamé's solution a hole breaks 3 and 6 % earlier there than in rock without end, at 1:1.
+- *Grains.* A wall that the stresses stretch over a grain's size alone bears more than T, so that
+  the ratio is above 1 where they differ, the less the more grains the wall has.
+- *T* is of tension alone. Where something presses across it as the fluid does on a wall, bonded
+  grains bear less: their bonds break by what they are stretched, so that the ratio is below 1 at
+  1:1. Pressed across by 1.2 T, three specimens of 300 grains bore 0.65 T, by 2.5 T a fifth of it.
+- *Loose grains.* Those without load lie loose, as packed. With these fitted into their voids and
+  cemented, and cement across gaps of a tenth of a radius, ten packings gave 0.95 and 0.91 at 1:1,
+  1.49 and 1.41 at 2:1.
+
+Cement bears twice the largest stress, so that no contact breaks as the hole is drilled. The
+fracture's direction is read once it has run as far into the rock as the hole is wide: the principal
+axis through the hole of the contacts that injection broke, weighed by their widths, off the largest
+stress. The variable PACKINGS says how many there are, PROCESSES how many run at once.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+import os
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
 
-from demflow.model.coupling.fracture import Events
+from demflow.model.coupling.breaking import March, Wells, start
+from demflow.model.coupling.setting import setting
 from demflow.model.scene import Bonds, FailureTest
 from demflow.model.stages import STAGES, run_stages
 from tests.benchmarks.breaking_keeps_its_books import bored
 from tests.benchmarks.result import Result
 
-SEEDS = tuple(range(1, 11))
-STRESS, RATE = 10e6, -1e-3
+SEEDS = tuple(range(1, 1 + int(os.environ.get("PACKINGS", "10"))))
+PROCESSES = int(os.environ.get("PROCESSES", "1"))
+STRESS, RATE = 10e6, -3e-3
 CEMENT = 2.0  # its tensile strength over the largest stress
-HOLES = {5.0: 1000, 10.0: 2000}  # radii of the hole in mean radii: grains, some 12 and 9 radii wide
+HOLES = {5.0: 1000, 10.0: 2000}  # radii of the hole in mean radii: grains
 CASES = ((1.0, 5.0), (1.0, 10.0), (2.0, 5.0), (2.0, 10.0), (3.0, 5.0))  # σ1 / σ3, radii
 LOW, HIGH, AT_TWO = 0.8, 1.1, 1.4
 MEAN_OFF, EACH_OFF = {2.0: 15.0, 3.0: 12.0}, {2.0: 30.0, 3.0: math.inf}  # degrees
-TIMES = tuple(np.round(np.arange(1, 201) * 0.03, 3).tolist())
+EVERY, MOST = 0.01, 400  # s between looks at the well, and most of them
 FALLEN = 0.99  # of its highest pressure, at which a well counts as broken down
+FAR = 3.0  # hole radii from its middle: there a fracture's direction is read
 
 
 class Broken(NamedTuple):
@@ -49,14 +69,16 @@ class Broken(NamedTuple):
     ratio: float  # of the highest pressure to 3 σ3 − σ1 + T
     off: float  # degrees between the fracture and the largest stress
     entered: float  # the same of the formula for a wall that fluid enters, of the packing's own ν
+    leaked: float  # part of what was injected that is not in the hole as it breaks
     at_zero: int  # contacts that broke before anything was injected
 
 
-def broken(seed: int, radii: float, stresses: float) -> Broken:
+def broken(stresses: float, radii: float, seed: int) -> Broken:
     """Break one packing down, at a ratio of the stresses."""
     cement = CEMENT * stresses * STRESS
+    scene = bored(seed, count=HOLES[radii], stress=(STRESS, stresses * STRESS))
     scene = dataclasses.replace(
-        bored(seed, count=HOLES[radii], stress=(STRESS, stresses * STRESS), times=TIMES),
+        scene,
         bonds=Bonds(kind="parallel", tensile_strength=cement, shear_strength=4.0 * cement),
     )
     tested = dataclasses.replace(
@@ -79,36 +101,50 @@ def broken(seed: int, radii: float, stresses: float) -> Broken:
         scene.wells[0], radius=radii * float(packed.radius.mean()), rate=RATE
     )
     scene = dataclasses.replace(scene, wells=(well,))
-    stage, found, peak = next(s for s in STAGES if s.name == "fracture"), None, np.nan
-    for leg in range(len(stage.legs_of(scene))):
-        before, told = found, stage.given(scene, leg)
-        found = stage.run(packed, None, before, **told)
-        pressure = found.records.well_pressure[:, 0]
-        (fallen,) = np.nonzero(pressure < FALLEN * np.maximum.accumulate(pressure))
-        if len(fallen):  # the same again until it has, for what it was between outputs
-            until = float(found.records.time[fallen[0]])
-            some = tuple(t for t in told["leg"].times if t <= until)
-            told["leg"] = told["leg"]._replace(end=until, times=some, changes=False)
-            peak = float(stage.run(packed, None, before, **told).highest[0])
-        if len(fallen) or str(found.state.stopped):
+    told = next(s for s in STAGES if s.name == "fracture").given(scene, 0)
+    keepers = len(told["wet"].sides)
+    given = setting(packed, None, rock=told["rock"], wet=told["wet"], wells=told["wells"])
+    march = March(given, given.u, keepers, told["tolerance"])
+    state = march.drained(start(given, keepers))
+    march.origin, at_zero, mass = state.u, len(march.events), state.mass
+    bore, none = given.well[0], np.zeros(len(mass))
+    inflow = none.copy()
+    inflow[bore] = -RATE / given.case.unit**2
+    wells = Wells(inflow, none.astype(bool), none, np.empty(0, np.int64))
+    peak = leaked = math.nan
+    for end in np.arange(1, MOST + 1) * EVERY:
+        before, state = state, march.to(state, float(end), wells)
+        if math.isnan(peak) and (state.p[bore] < FALLEN * march.highest[0] or state.stopped):
+            peak = given.case.stiffness * float(march.highest[0])
+            leaked = 1.0 - float(before.mass[bore] - mass[bore]) / before.ledger.injected
+        broke = np.array([event.contact for event in march.events[at_zero:]], dtype=np.int64)
+        x, y = (given.case.unit * c[broke] for c in (given.case.skeleton.x, given.case.skeleton.y))
+        far = np.hypot(x, y).max(initial=0.0) / well.radius
+        if state.stopped or (not math.isnan(peak) and (stresses == 1.0 or far > FAR)):
             break
-    assert found is not None
-    expected = (3.0 - stresses) * STRESS + strength
-    at_zero = int(np.count_nonzero(found.events.time == 0.0))
-    return Broken(peak / expected, off_axis(found.events), 1.0 / (1.0 + poisson), at_zero)
+    length = given.case.skeleton.half_width[broke]
+    return Broken(
+        peak / ((3.0 - stresses) * STRESS + strength),
+        off_axis(x, y, length),
+        1.0 / (1.0 + poisson),
+        leaked,
+        at_zero,
+    )
 
 
-def off_axis(events: Events) -> float:
-    """Degrees between the principal axis of what injection broke and y, (0 … 90)."""
-    late = events.time > 0.0
-    x, y, length = events.x[late], events.y[late], events.length[late]
+def off_axis(x: np.ndarray, y: np.ndarray, length: np.ndarray) -> float:
+    """Degrees between the principal axis through (0, 0) of places (m), weighed, and y, (0 … 90)."""
     axis = 0.5 * math.atan2(2.0 * float(length @ (x * y)), float(length @ (x**2 - y**2)))
     return 90.0 - abs(math.degrees(axis))
 
 
 def run(seeds: tuple[int, ...] = SEEDS) -> Result:
     """Every case, in the mean over packings."""
-    return judged({case: [broken(seed, case[1], case[0]) for seed in seeds] for case in CASES})
+    asked = [(*case, seed) for case in CASES for seed in seeds]
+    with ProcessPoolExecutor(PROCESSES, get_context("spawn")) as lanes:
+        each = list(lanes.map(broken, *zip(*asked, strict=True)))
+    n = len(seeds)
+    return judged({case: each[k * n : (k + 1) * n] for k, case in enumerate(CASES)})
 
 
 def judged(found: dict[tuple[float, float], list[Broken]]) -> Result:
@@ -132,7 +168,8 @@ def judged(found: dict[tuple[float, float], list[Broken]]) -> Result:
         bool(holds),
         "\n".join(
             f"{case[0]:g}:1, {case[1]:g} R, packing {k + 1}: {one.ratio:.3f} ({one.entered:.3f} if "
-            f"fluid enters the wall), {one.off:.0f}° off, {one.at_zero} broken before"
+            f"fluid enters the wall), {one.leaked:.1%} leaked, {one.off:.0f}° off, {one.at_zero} "
+            "broken before"
             for case, each in found.items()
             for k, one in enumerate(each)
         ),
