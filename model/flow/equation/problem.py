@@ -206,13 +206,11 @@ def fill_maps(
     maps : pressures of the mapped domains, (l, m) Pa
     """
     node, fixed = map_rows(problem.system, problem.domain)
-    known = node >= 0
-    if known.all():  # of no row of the basis is a field made that no map shows
+    if len(vectors):  # whole rows, of whatever is no unknown too: to write around those costs more
         np.matmul(coefficients, vectors[node].T, out=maps)
-        (own,) = np.nonzero(direct[node])
+        maps[:, node < 0] = 0.0
+        (own,) = np.nonzero((node >= 0) & (direct[node] != 0.0))
         maps[:, own] += direct[node[own]]
-    else:
-        maps[:, known] = coefficients @ vectors[node[known]].T + direct[node[known]]
     maps[:, fixed == source] = 1.0
 
 

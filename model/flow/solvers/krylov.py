@@ -257,6 +257,7 @@ class Growth:
         self.far = problem.far(source)
         self._coefficients: dict[int, np.ndarray] = {}
         self._outputs: dict[int, np.ndarray] = {}
+        self._highest: dict[int, float] = {}  # pressure of any map, by size
         self._reductions: dict[tuple[str, int], dict[int, float]] = {}
         self._error = 1.0  # of no vectors: the first estimate may stand on a stair
         self._judge_by(problem)
@@ -265,7 +266,7 @@ class Growth:
         """Take the scales of errors from a problem from now on; how fast they fell stays."""
         self.problem = problem
         self._scales: dict[int, np.ndarray] = {}
-        self._changes: dict[tuple[str, int, int], float] = {}
+        self._changes: dict[str, dict[tuple[int, int], float]] = {}
 
     def to_tolerance(self, problem: Problem) -> float:
         """Grow the space to a problem's tolerance; the estimated error. Raises `ModelError`.
@@ -343,7 +344,9 @@ class Growth:
         cheap = self.space.noise() <= TUNED.noise_share * self.problem.tolerance
         if not cheap and not self.space.measured:
             self.space.measure()
-            for known in (self._outputs, self._coefficients, self._scales, self._changes):
+            for known in (
+                self._outputs, self._coefficients, self._highest, self._scales, self._changes
+            ):  # fmt: skip
                 known.clear()
         error, rate = self._extrapolate(self._output_change, size)
         if self.far:
@@ -360,12 +363,19 @@ class Growth:
         error of no vectors. Wider ones would make loose tolerances a hundred times too tight.
         """
         worst, slowest = 0.0, 0.0
+        changes = self._changes.setdefault(change.__name__, {})  # several estimates ask for each
+
+        def changed(size: int, before: int) -> float:
+            if (found := changes.get((size, before))) is None:
+                found = changes[size, before] = change(size, before)
+            return found
+
         for width in TUNED.widths:
             if size <= (width if width <= TUNED.poles else 2 * width):
                 continue
-            now = self._once(change, size, size - width)
             half = size - width
-            before = self._once(change, half, half - width) if size > 2 * width else 1.0
+            now = changed(size, half)
+            before = changed(half, half - width) if size > 2 * width else 1.0
             seen = self._reductions.setdefault((change.__name__, width), {})
             seen[size] = min(1.0, now / before) if before > 0.0 else 1.0
             while (oldest := next(iter(seen))) <= size - TUNED.late:
@@ -374,13 +384,6 @@ class Growth:
             worst = max(worst, TUNED.caution * now * reduction)
             slowest = max(slowest, reduction ** (1.0 / width))
         return worst, min(max(slowest, 0.05), 0.95)
-
-    def _once(self, change: Change, size: int, before: int) -> float:
-        """A change between two sizes, which several estimates ask for."""
-        key = (change.__name__, size, before)
-        if key not in self._changes:
-            self._changes[key] = change(size, before)
-        return self._changes[key]
 
     def _known(self, size: int) -> np.ndarray:
         """Coefficients (l, k) of the pressure in the space's first vectors."""
@@ -406,7 +409,7 @@ class Growth:
         """Largest relative change of an output between two sizes."""
         now = self._seen(size)
         if size not in self._scales:
-            self._scales = {size: self.problem.scale(self.source, now, self.at)}
+            _keep(self._scales, size, self.problem.scale(self.source, now, self.at))
         return float(_largest_change(now, self._seen(before), self._scales[size]))
 
     def _field_change(self, size: int, before: int) -> float:
@@ -418,10 +421,10 @@ class Growth:
         """Largest change of a map between two sizes over the largest pressure."""
         now = self._known(size)[self.map_lag]
         share = self.problem.share
-        if share is None:
-            largest = _largest(np.abs(self.space.fields(now)))
-        else:
+        if share is not None:
             largest = float(share.field[self.source])
+        elif (largest := self._highest.get(size, -1.0)) < 0.0:
+            largest = self._highest[size] = _largest(np.abs(self.space.fields(now)))
         if largest == 0.0:
             return 0.0
         change = self.space.fields(_less(now, self._known(before)[self.map_lag]))
