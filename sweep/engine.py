@@ -174,14 +174,11 @@ def run_study(
             damaged=damaged,
             changed=_changed(prepared),
         )
+        end = time.perf_counter()
+        drawn = draw(prepared, finished, again=collected) if figures else finished
         if executed is not None:
-            _note(prepared, "leading", time.perf_counter() - begin - executed.seconds)
-        if not figures:
-            return finished
-        begin = time.perf_counter()
-        drawn = draw(prepared, finished, again=collected)
-        if executed is not None:
-            _note(prepared, "drawing", time.perf_counter() - begin)
+            took = {"leading": end - begin - executed.seconds}
+            _note(prepared, took | ({"drawing": time.perf_counter() - end} if figures else {}))
         return drawn
 
 
@@ -492,10 +489,11 @@ def _execute(
             prepared.keep(costs)
 
 
-def _note(prepared: Project, part: str, seconds: float) -> None:
-    """Keep what a part of a run took that comes once, for forecasts."""
+def _note(prepared: Project, took: dict[str, float]) -> None:
+    """Keep what parts of a run took that come once, s, for forecasts."""
     costs = prepared.costs()
-    setattr(costs, part, seconds)
+    for part, seconds in took.items():
+        setattr(costs, part, seconds)
     with suppress(OSError):
         prepared.keep(costs)
 

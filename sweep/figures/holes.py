@@ -140,13 +140,13 @@ def draw_inflow(
     count = len(known) * math.prod(dataset.sizes[a] for a in others)
     for number, (name, *at) in enumerate(itertools.islice(cases, MOST_CURVES)):
         place = dict(zip(others, at, strict=True))
-        told = [named] if (named := case_title(dataset, place)) else []
+        told = case_title(dataset, place)
         one = {"boundary": name}
         panel.errorbar(
             dataset[x].values * factor,
             mean.sel(one).isel(place).values * scale,
             spread.sel(one).isel(place).values * scale,
-            label=", ".join([name, *told] if len(known) > 1 else told) or name,
+            label=", ".join(filter(None, [name if len(known) > 1 else "", told])) or name,
             color=BLUE if number % 2 == 0 else VERMILION,
             linestyle=LINE_STYLES[number // 2 % len(LINE_STYLES)],
             marker="o",

@@ -63,8 +63,8 @@ def draw_rates(
                 scale * one.isel(at).sel({along: name}).transpose("elapsed_time").values[seen]
                 for one in (mean, spread)
             )
-            told = [named] if (named := case_title(dataset, {axis: k} if axis else {})) else []
-            words = ", ".join([name, *told] if len(names) > 1 else told) or name
+            told = case_title(dataset, {axis: k} if axis else {})
+            words = ", ".join(filter(None, [name if len(names) > 1 else "", told])) or name
             look = {"color": colour, "linestyle": style, "label": legend_text(words)}
             panel.plot(times[seen] * factor, own, marker="." if len(own) <= 12 else "", **look)
             if over:

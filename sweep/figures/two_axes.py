@@ -209,8 +209,12 @@ def strongest(dataset: xr.Dataset, values: xr.DataArray) -> tuple[str, str] | No
 
 def _names(dataset: xr.Dataset, axis: str) -> list[str]:
     """What the values of an axis are called; what several tied ones are on lines of their own."""
-    values = (axis_value(dataset, axis, k).split(", ") for k in range(dataset.sizes[axis]))
-    return ["\n".join(shorten(part, LETTERS) for part in parts[:LINES]) for parts in values]
+    names = []
+    for k in range(dataset.sizes[axis]):
+        parts = axis_value(dataset, axis, k).split(", ")
+        shown = parts if len(parts) <= LINES else [*parts[: LINES - 1], "…"]
+        names.append("\n".join(shorten(part, LETTERS) for part in shown))
+    return names
 
 
 def _figure(

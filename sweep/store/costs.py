@@ -29,7 +29,7 @@ STEEPEST = 1.5  # exponent of a planar graph's factor; no stage grows faster
 LIBRARIES = 3e7  # bytes of what single stages import; they do not grow
 LEAST_PART = 0.01  # of a product that grows with the size, however much is counted beside it
 ONCE = ("start", "drawing", "leading")  # times that a run takes once, whatever it runs
-OUTLIERS = 3  # runs from which the slowest, which loads the compiled code, does not count
+OUTLIERS = 3  # runs from which the slowest, which imports what is late, does not count
 
 
 class Spent(NamedTuple):
@@ -198,8 +198,7 @@ class Costs:
 
     def loading(self, kinds: Iterable[CostClass]) -> float:
         """Expected seconds in which a process loads the compiled code of some stages, each once."""
-        keys = {kind.key for kind in kinds}
-        known = (self.known.get(key, {}).values() for key in keys)
+        known = [self._sizes(kind).values() for kind in {kind.key: kind for kind in kinds}.values()]
         return sum(max((spent.loading for spent in sizes), default=0.0) for sizes in known)
 
     def stored(self, kind: CostClass) -> float | None:
@@ -262,7 +261,7 @@ def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float
         return None
     if step in values:
         return values[step]
-    # few runs are mostly the loading of compiled code, which does not grow with the size
+    # first runs import what is late, which does not grow with the size
     often = {size: value for size, value in values.items() if seen[size].runs >= OUTLIERS}
     values = often or values
     near = _nearest(values, step)

@@ -168,6 +168,7 @@ def test_each_process_loads_the_code_of_a_stage_once_whatever_its_size():
     costs.add(kind(1000, stage="pack"), 1.0, 10, loading=0.5)
     wanted = [kind(1000), kind(9000), kind(1000, stage="pack"), kind(1000, stage="walk")]
     assert costs.loading(wanted) == pytest.approx(0.75)
+    assert costs.loading([kind(1000)._replace(manner="traces")]) == pytest.approx(0.25)
     assert costs.seconds(kind(1000)) == 1.0
 
 

@@ -421,10 +421,9 @@ class Growth:
         """Largest change of a map between two sizes over the largest pressure."""
         now = self._known(size)[self.map_lag]
         share = self.problem.share
-        if share is not None:
-            largest = float(share.field[self.source])
-        elif (largest := self._highest.get(size, -1.0)) < 0.0:
-            largest = self._highest[size] = _largest(np.abs(self.space.fields(now)))
+        if share is None and size not in self._highest:
+            self._highest[size] = _largest(np.abs(self.space.fields(now)))
+        largest = self._highest[size] if share is None else float(share.field[self.source])
         if largest == 0.0:
             return 0.0
         change = self.space.fields(_less(now, self._known(before)[self.map_lag]))
