@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.forked import forks
+
 pytestmark = pytest.mark.slow
 
 MODEL = Path(__file__).parents[1] / "model"
@@ -73,7 +75,22 @@ def small_model(folder: Path) -> dict[str, str]:
     return environment
 
 
-def answer(code: str, folder: Path, environment: dict[str, str]) -> str:
+@pytest.fixture(scope="module")
+def answer():
+    """What some code prints, in a process of its own."""
+    with forks() as made:
+        yield made.answer
+
+
+@pytest.fixture(scope="module")
+def compiled(answer):
+    """How many kernels are compiled anew by some code."""
+    counting = "from demflow.model.compilation import compilation as c\nn=[]; c.listener=n.append\n"
+    return lambda code, *where: int(answer(f"{counting}{code}\nprint(len(n))", *where))
+
+
+def started(code: str, folder: Path, environment: dict[str, str]) -> str:
+    """What some code prints in a Python that is started for it, as a user's is."""
     run = [sys.executable, "-c", code]
     done = subprocess.run(
         run, env=environment, cwd=folder, capture_output=True, text=True, check=True
@@ -81,7 +98,7 @@ def answer(code: str, folder: Path, environment: dict[str, str]) -> str:
     return done.stdout
 
 
-def test_a_changed_law_is_never_answered_from_the_cache(tmp_path):
+def test_a_changed_law_is_never_answered_from_the_cache(tmp_path, answer):
     environment = small_model(tmp_path)
     code = "from demflow.model.caller import caller; print(caller(1.5))"
     assert answer(code, tmp_path, environment) == "3.0\n"
@@ -89,7 +106,7 @@ def test_a_changed_law_is_never_answered_from_the_cache(tmp_path):
     assert answer(code, tmp_path, environment) == "7.5\n"
 
 
-def test_another_numba_compiles_kernels_as_numba_does(tmp_path):
+def test_another_numba_compiles_kernels_as_numba_does(tmp_path, answer):
     environment = small_model(tmp_path)
     policy = tmp_path / "demflow" / "model" / "compile.py"
     policy.write_text(policy.read_text().replace("PARTS_OF = (0, 68)", "PARTS_OF = (0, 0)"))
@@ -107,11 +124,11 @@ def test_the_time_of_a_compilation_is_told_and_that_of_the_cache_is_not(tmp_path
         "caller(1.5); caller(2.5)\n"
         "print(len(told), told[1:] == [c.seconds], c.seconds < time.perf_counter() - begin)\n"
     )
-    assert answer(code, tmp_path, environment) == "2 True True\n"
-    assert answer(code, tmp_path, environment) == "0 False True\n"
+    assert started(code, tmp_path, environment) == "2 True True\n"
+    assert started(code, tmp_path, environment) == "0 False True\n"
 
 
-def test_the_time_in_which_kept_kernels_are_loaded_is_told_apart(tmp_path):
+def test_the_time_in_which_kept_kernels_are_loaded_is_told_apart(tmp_path, answer):
     environment = small_model(tmp_path)
     code = (
         "import time; from demflow.model.compilation import compilation as c, loading as l\n"
@@ -124,7 +141,7 @@ def test_the_time_in_which_kept_kernels_are_loaded_is_told_apart(tmp_path):
     assert answer(code, tmp_path, environment) == "False True True True\n"
 
 
-def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
+def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path, answer):
     environment = small_model(tmp_path)
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     compiling = [
@@ -148,7 +165,7 @@ def test_processes_that_compile_at_once_leave_a_whole_cache(tmp_path):
     assert answer(code, tmp_path, environment) == "[2, 3.0, 4j] 3\n"
 
 
-def test_a_process_that_was_stopped_in_its_turn_holds_nobody_for_ever(tmp_path):
+def test_a_process_that_was_stopped_in_its_turn_holds_nobody_for_ever(tmp_path, answer):
     environment = small_model(tmp_path)
     code = (
         "from demflow.model import kernel_cache\n"
@@ -171,13 +188,7 @@ def test_a_process_that_was_stopped_in_its_turn_holds_nobody_for_ever(tmp_path):
     assert {path.name for path in cache.iterdir()} == kept
 
 
-def compiled(code: str, folder: Path, environment: dict[str, str]) -> int:
-    """How many kernels are compiled anew by some code."""
-    counting = "from demflow.model.compilation import compilation as c\nn=[]; c.listener=n.append\n"
-    return int(answer(f"{counting}{code}\nprint(len(n))", folder, environment))
-
-
-def test_an_edit_that_means_nothing_compiles_nothing(tmp_path):
+def test_an_edit_that_means_nothing_compiles_nothing(tmp_path, compiled):
     environment = small_model(tmp_path)
     law = tmp_path / "demflow" / "model" / "law.py"
     code = "from demflow.model.caller import caller; caller(1.5)"
@@ -193,7 +204,7 @@ def test_an_edit_that_means_nothing_compiles_nothing(tmp_path):
         assert compiled(code, tmp_path, environment) == 0, text
 
 
-def test_what_a_kernel_names_is_part_of_what_it_means(tmp_path):
+def test_what_a_kernel_names_is_part_of_what_it_means(tmp_path, answer):
     environment = small_model(tmp_path)
     law = tmp_path / "demflow" / "model" / "law.py"
     code = "from demflow.model.caller import caller; print(caller(1.5))"
@@ -203,7 +214,7 @@ def test_what_a_kernel_names_is_part_of_what_it_means(tmp_path):
         assert answer(code, tmp_path, environment) == right
 
 
-def test_the_order_of_the_fields_that_are_passed_counts(tmp_path):
+def test_the_order_of_the_fields_that_are_passed_counts(tmp_path, answer):
     environment = small_model(tmp_path)
     (tmp_path / "demflow" / "model" / "law.py").write_text(LAW.replace("2 * x", "x.a + 10 * x.b"))
     (tmp_path / "pair.py").write_text(PAIR)
@@ -218,7 +229,7 @@ def test_the_order_of_the_fields_that_are_passed_counts(tmp_path):
 
 
 @pytest.mark.parametrize("gone", ["the module", "the name"])
-def test_types_that_another_version_passed_are_in_nobody_s_way(tmp_path, gone):
+def test_types_that_another_version_passed_are_in_nobody_s_way(tmp_path, gone, compiled, answer):
     """A kernel may have been compiled for types that this version has not got."""
     environment = small_model(tmp_path)
     pair = tmp_path / "pair.py"
@@ -236,7 +247,7 @@ def test_types_that_another_version_passed_are_in_nobody_s_way(tmp_path, gone):
     assert answer(code, tmp_path, environment) == "3.0\n"
 
 
-def test_a_folder_that_others_can_write_holds_no_kernels(tmp_path):
+def test_a_folder_that_others_can_write_holds_no_kernels(tmp_path, answer):
     environment = small_model(tmp_path)
     planted = tmp_path / "cache" / "demflow"
     planted.mkdir(parents=True)
@@ -267,7 +278,7 @@ def caller(x):
 """
 
 
-def test_what_a_kernel_inside_another_raises_is_told_whole(tmp_path):
+def test_what_a_kernel_inside_another_raises_is_told_whole(tmp_path, answer):
     """Its constants are set where it lies, compiled just now or kept."""
     environment = small_model(tmp_path)
     (tmp_path / "demflow" / "model" / "law.py").write_text(REFUSING)
@@ -281,7 +292,7 @@ def test_what_a_kernel_inside_another_raises_is_told_whole(tmp_path):
         assert answer(code, tmp_path, environment) == "3.0\n('below zero', 7)\n"
 
 
-def test_numbers_written_in_a_call_compile_nothing_of_their_own(tmp_path):
+def test_numbers_written_in_a_call_compile_nothing_of_their_own(tmp_path, answer):
     environment = small_model(tmp_path)
     (tmp_path / "demflow" / "model" / "caller.py").write_text(TWICE)
     code = (
