@@ -13,7 +13,7 @@ import hashlib
 import importlib.util
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -30,27 +30,50 @@ class Module(NamedTuple):
     imports: tuple[str, ...]  # dotted names: modules, or names in them
 
 
-def closure(function: str) -> str:
-    """Hash of the sources behind a function at `module:name` (SHA-256), "" where none are known."""
-    start = function.partition(":")[0]
-    tops = {PACKAGE, start.partition(".")[0]}
-    found: dict[str, str] = {}
-    waiting = [start]
-    while waiting:
-        name = waiting.pop()
-        if name in found or name.partition(".")[0] not in tops:
-            continue
+def closures(functions: Iterable[str]) -> list[str]:
+    """Hash of the sources behind each function at `module:name` (SHA-256), "" where none are known.
+
+    Each file is looked at once, however many of the functions stand on it.
+    """
+    starts = [function.partition(":")[0] for function in functions]
+    tops = {PACKAGE, *map(_top, starts)}
+    module_of = cache(_module_of)
+
+    @cache
+    def said(name: str) -> Module | None:
+        """What a module says; its imports are modules."""
         path = _file(name)
-        if path is None:  # the name of something in a module
-            outer = name.rpartition(".")[0]
-            waiting += [outer] if outer else []
-            continue
+        if path is None:
+            return None
         module = _module(str(path), path.stat().st_mtime_ns)
-        found[name] = module.digest
-        waiting += module.imports
-    if start not in found:
-        return ""
-    return hashlib.sha256(json.dumps(sorted(found.items())).encode()).hexdigest()
+        within = {module_of(imported) for imported in module.imports if _top(imported) in tops}
+        return Module(module.digest, tuple(within - {""}))
+
+    def behind(start: str) -> str:
+        found: dict[str, str] = {}
+        waiting = {start}
+        while waiting:
+            name = waiting.pop()
+            module = said(name)
+            if module is None:
+                return ""
+            found[name] = module.digest
+            own = (PACKAGE, _top(start))
+            waiting.update(i for i in module.imports if i not in found and _top(i) in own)
+        return hashlib.sha256(json.dumps(sorted(found.items())).encode()).hexdigest()
+
+    return [behind(start) for start in starts]
+
+
+def _top(name: str) -> str:
+    return name.partition(".")[0]
+
+
+def _module_of(name: str) -> str:
+    """The module that a dotted name is, or is in; "" where there is none."""
+    while name and _file(name) is None:
+        name = name.rpartition(".")[0]
+    return name
 
 
 def _file(name: str) -> Path | None:

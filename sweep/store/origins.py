@@ -15,7 +15,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from demflow.sweep.plan.sources import closure
+from demflow.sweep.plan.sources import closures
 from demflow.sweep.store.durable import write_durably
 from demflow.sweep.store.products import Store
 
@@ -29,7 +29,7 @@ DIGITS = 16  # of a hash that tell one state of the sources from another
 def with_origins(stages: Stages, store: Store) -> Stages:
     """The table of stages, those told apart whose sources are not the first ones of this store."""
     noted = _noted(store)
-    found = [closure(stage.function)[:DIGITS] for stage in stages]
+    found = _states(stages)
     return tuple(
         replace(stage, sources="" if noted.get(key, now) == now else now)
         for stage, key, now in zip(stages, _keys(stages), found, strict=True)
@@ -51,8 +51,8 @@ def note_origins(store: Store, stages: Stages) -> None:
     """Note the sources of stages that run in this store for the first time. Raises OSError."""
     noted = _noted(store)
     new = {
-        key: closure(stage.function)[:DIGITS]
-        for key, stage in zip(_keys(stages), stages, strict=True)
+        key: now
+        for key, now in zip(_keys(stages), _states(stages), strict=True)
         if key not in noted
     }
     if new:
@@ -66,6 +66,11 @@ def _noted(store: Store) -> dict[str, str]:
         if isinstance(record, Mapping):
             return {str(key): str(value) for key, value in record.items()}
     return {}
+
+
+def _states(stages: Stages) -> list[str]:
+    """What tells the sources of each stage, as they are now, from others."""
+    return [found[:DIGITS] for found in closures(stage.function for stage in stages)]
 
 
 def _keys(stages: Stages) -> list[str]:

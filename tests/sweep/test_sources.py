@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from demflow.sweep.command.upkeep import unwanted
-from demflow.sweep.plan.sources import closure
+from demflow.sweep.plan.sources import closures
 from demflow.sweep.prepared import prepare
 from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.origins import note_origins, sources_told
@@ -146,7 +146,7 @@ def test_what_the_sources_at_hand_cannot_reach_is_unwanted(work, made, tmp_path)
 
 @pytest.mark.slow
 def test_a_function_without_sources_is_known_by_its_version():
-    assert closure("no.such.module:function") == ""
-    assert closure("demflow.model.mechanics.packing.packing:pack") != closure(
-        "demflow.model.flow.solvers.registry:flow"
-    )
+    functions = ["demflow.model.mechanics.packing.packing:pack", "no.such.module:function"]
+    packing, none, flow = closures([*functions, "demflow.model.flow.solvers.registry:flow"])
+    assert none == ""
+    assert packing != flow
