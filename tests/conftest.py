@@ -29,6 +29,7 @@ sys.dont_write_bytecode = False
 
 _notes = Path(tempfile.mkdtemp(prefix="demflow-tests-"))
 atexit.register(shutil.rmtree, _notes, ignore_errors=True)
+cache.share_sources(_notes)
 os.environ.update(cache.variables(_notes))
 
 

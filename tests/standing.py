@@ -6,6 +6,7 @@ started, killed and left is for the tests of the pools; these use it in none.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 from collections.abc import Iterator
@@ -28,6 +29,7 @@ PRELOADED = ["distributed.nanny", "demflow.sweep.execution.worker", "tests.prelo
 def forked_workers() -> Iterator[None]:
     """Have local workers forked while a `with` block runs."""
     parent = _fork_server()
+    gc.freeze()  # what is there stays: each run looks for garbage
 
     class Forked(LocalPool):
         """Workers that end with the process from which they are forked, which ends with ours."""
@@ -85,6 +87,7 @@ def standing_worker() -> Iterator[str]:
 @contextmanager
 def runs_on(scheduler: str) -> Iterator[None]:
     """Have runs on workers of their own go to one that stands, while a `with` block runs."""
+    gc.freeze()  # what is there stays: each run looks for garbage
 
     class Standing(RemotePool):
         """The worker that stands, which sees the store of every run."""
