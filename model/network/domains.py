@@ -314,15 +314,13 @@ def domains_at(network: Network, points: np.ndarray) -> np.ndarray:
 def _faces(
     a: np.ndarray, b: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Trace all faces: half-edges sorted by angle around each grain, then walked."""
+    """Trace all faces: from half-edge to half-edge around each."""
     origin = np.empty(2 * len(a), dtype=np.int64)
     origin[0::2], origin[1::2] = a, b
     angle = np.empty(2 * len(a))
     angle[0::2] = np.arctan2(y[b] - y[a], x[b] - x[a])
     angle[1::2] = np.arctan2(y[a] - y[b], x[a] - x[b])
-    half_edges = np.lexsort((angle, origin))
-    start = np.searchsorted(origin[half_edges], np.arange(len(x) + 1))
-    return walk_faces(next_half_edges(start, half_edges, a, b), origin)
+    return walk_faces(next_half_edges(len(x), origin, angle), origin)
 
 
 def _without_crossings(

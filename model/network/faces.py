@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from demflow.model.compile import Array, kernel
+from demflow.model.network.cells import Cells, cell_of, into_cells
 
 
 @kernel
@@ -41,29 +42,38 @@ def prune(n: int, a: Array, b: Array) -> Array:
 
 
 @kernel
-def next_half_edges(start: Array, half_edges: Array, a: Array, b: Array) -> Array:
+def next_half_edges(n: int, origin: Array, angle: Array) -> Array:
     """The half-edge that follows each one around its face, counter-clockwise.
 
-    `half_edges[start[v]:start[v + 1]]` leave grain v in counter-clockwise order.
+    Half-edges are sorted by their angle about each grain, which takes time in proportion to
+    their number: a grain has few.
 
     Parameters
     ----------
-    start : where the half-edges of each grain begin, (n + 1,)
-    half_edges : (2 c,), counter-clockwise about each grain
-    a : first grain of each contact, (c,)
-    b : second grain of each contact, (c,)
+    n : number of grains
+    origin : grain that each half-edge leaves, (2 c,)
+    angle : its direction there, (2 c,) rad
     """
-    m = half_edges.size
-    place = np.empty(m, np.int64)
-    for k in range(m):
-        place[half_edges[k]] = k
-    following = np.empty(m, np.int64)
-    for h in range(m):
-        e = h >> 1
-        v = b[e] if h & 1 == 0 else a[e]
-        k = place[h ^ 1]
-        # the face lies to the left: turn to the next half-edge clockwise
-        following[h] = half_edges[k - 1] if k > start[v] else half_edges[start[v + 1] - 1]
+    first = np.zeros(n + 1, np.int64)
+    for h in range(origin.size):
+        first[origin[h] + 1] += 1
+    for v in range(n):
+        first[v + 1] += first[v]
+    end = first.copy()
+    around = np.empty(origin.size, np.int64)
+    for h in range(origin.size):
+        v = origin[h]
+        k = end[v]
+        while k > first[v] and angle[around[k - 1]] > angle[h]:
+            around[k] = around[k - 1]
+            k -= 1
+        around[k] = h
+        end[v] += 1
+    following = np.empty(origin.size, np.int64)
+    for v in range(n):
+        for k in range(first[v], end[v]):
+            # the face lies to the left: turn to the next half-edge clockwise
+            following[around[k] ^ 1] = around[k - 1] if k > first[v] else around[end[v] - 1]
     return following
 
 
@@ -143,13 +153,6 @@ def measure_faces(
     return area, cx, cy, void
 
 
-@kernel
-def _cell(value: float, low: float, size: float, count: int) -> int:
-    """Cell of a row of `count` that a coordinate lies in; what lies outside is in the last."""
-    return min(max(int((value - low) / size), 0), count - 1)
-
-
-@kernel
 def locate(px: Array, py: Array, first: Array, corner_grain: Array, x: Array, y: Array) -> Array:
     """The first face whose polygon contains each point, −1 where none does.
 
@@ -164,25 +167,26 @@ def locate(px: Array, py: Array, first: Array, corner_grain: Array, x: Array, y:
     x, y : centres of grains, (n,) m
     """
     found = np.full(px.size, -1, np.int64)
-    if px.size == 0:
-        return found
-    west, south = px.min(), py.min()
-    cells = int(np.ceil(np.sqrt(px.size)))
-    size = max(px.max() - west, py.max() - south) / cells
-    if size == 0.0:
-        cells, size = 1, 1.0
-    start = np.zeros(cells * cells + 1, np.int64)
-    cell = np.empty(px.size, np.int64)
-    for p in range(px.size):
-        column, row = _cell(px[p], west, size, cells), _cell(py[p], south, size, cells)
-        cell[p] = row * cells + column
-        start[cell[p] + 1] += 1
-    start = np.cumsum(start)
-    fill = start.copy()
-    points = np.empty(px.size, np.int64)
-    for p in range(px.size):
-        points[fill[cell[p]]] = p
-        fill[cell[p]] += 1
+    if px.size > 0:
+        size = max(np.ptp(px), np.ptp(py)) / np.ceil(np.sqrt(px.size))
+        cells = into_cells(px, py, px, py, float(size) if size > 0.0 else 1.0)
+        _locate(found, cells, px, py, first, corner_grain, x, y)
+    return found
+
+
+@kernel
+def _locate(
+    found: Array,
+    cells: Cells,
+    px: Array,
+    py: Array,
+    first: Array,
+    corner_grain: Array,
+    x: Array,
+    y: Array,
+) -> None:
+    """Look for the face of each point among the cells of all."""
+    west, south, size, columns = cells.west, cells.south, cells.size, cells.columns
     for f in range(first.size - 1):
         if first[f] == first[f + 1]:
             continue
@@ -190,18 +194,19 @@ def locate(px: Array, py: Array, first: Array, corner_grain: Array, x: Array, y:
         for k in range(first[f], first[f + 1]):
             gx, gy = x[corner_grain[k]], y[corner_grain[k]]
             x0, x1, y0, y1 = min(x0, gx), max(x1, gx), min(y0, gy), max(y1, gy)
-        for row in range(_cell(y0, south, size, cells), _cell(y1, south, size, cells) + 1):
-            for column in range(_cell(x0, west, size, cells), _cell(x1, west, size, cells) + 1):
-                for s in range(start[row * cells + column], start[row * cells + column + 1]):
-                    p = points[s]
-                    if (
-                        found[p] < 0
-                        and x0 <= px[p] <= x1
-                        and y0 <= py[p] <= y1
-                        and _contains(px[p], py[p], first[f], first[f + 1], corner_grain, x, y)
-                    ):
-                        found[p] = f
-    return found
+        c0, c1 = cell_of(x0, west, size, columns), cell_of(x1, west, size, columns)
+        r0, r1 = cell_of(y0, south, size, cells.rows), cell_of(y1, south, size, cells.rows)
+        for row in range(r0, r1 + 1):
+            begin, end = row * columns + c0, row * columns + c1 + 1
+            for s in range(cells.first[begin], cells.first[end]):
+                p = cells.member[s]
+                if (
+                    found[p] < 0
+                    and x0 <= px[p] <= x1
+                    and y0 <= py[p] <= y1
+                    and _contains(px[p], py[p], first[f], first[f + 1], corner_grain, x, y)
+                ):
+                    found[p] = f
 
 
 @kernel
@@ -218,10 +223,7 @@ def _contains(
     return inside
 
 
-@kernel
-def crossing_pairs(  # noqa: C901 (a kernel)
-    a: Array, b: Array, x: Array, y: Array, size: float
-) -> Array:
+def crossing_pairs(a: Array, b: Array, x: Array, y: Array, size: float) -> Array:
     """Pairs of contacts (pairs, 2) that properly cross each other.
 
     Contacts are sorted into square cells of the given size that their boxes meet; a pair is
@@ -234,58 +236,46 @@ def crossing_pairs(  # noqa: C901 (a kernel)
     x, y : centres of grains, (n,) m
     size : side of a cell, m
     """
-    west, south = x.min(), y.min()
-    columns = int((x.max() - west) / size) + 1
-    rows = int((y.max() - south) / size) + 1
-    start = np.zeros(columns * rows + 1, np.int64)
-    member = np.empty(0, np.int64)
-    for filling in (False, True):
-        for e in range(a.size):
-            x0, x1 = min(x[a[e]], x[b[e]]), max(x[a[e]], x[b[e]])
-            y0, y1 = min(y[a[e]], y[b[e]]), max(y[a[e]], y[b[e]])
-            for row in range(_cell(y0, south, size, rows), _cell(y1, south, size, rows) + 1):
-                for column in range(
-                    _cell(x0, west, size, columns), _cell(x1, west, size, columns) + 1
-                ):
-                    cell = row * columns + column
-                    if filling:
-                        start[cell] -= 1
-                        member[start[cell]] = e
-                    else:
-                        start[cell] += 1
-        if not filling:
-            start = np.cumsum(start)
-            member = np.empty(start[-1], np.int64)
-    found = 0
+    ends = (x[a], y[a], x[b], y[b])
+    cells = into_cells(*ends, size)
     pairs = np.empty((0, 2), np.int64)
-    for filling in (False, True):
-        if filling:
-            pairs = np.empty((found, 2), np.int64)
-            found = 0
-        for cell in range(columns * rows):
-            for s in range(start[cell], start[cell + 1]):
-                for t in range(s + 1, start[cell + 1]):
-                    e, f = min(member[s], member[t]), max(member[s], member[t])
-                    x0 = max(min(x[a[e]], x[b[e]]), min(x[a[f]], x[b[f]]))
-                    y0 = max(min(y[a[e]], y[b[e]]), min(y[a[f]], y[b[f]]))
-                    home = _cell(y0, south, size, rows) * columns + _cell(x0, west, size, columns)
-                    if home == cell and _cross(a[e], b[e], a[f], b[f], x, y):
-                        if filling:
-                            pairs[found, 0], pairs[found, 1] = e, f
-                        found += 1
-        if found == 0:
-            break
+    found = _cross_in(cells, a, b, *ends, pairs)
+    if found > 0:
+        pairs = np.empty((found, 2), np.int64)
+        _cross_in(cells, a, b, *ends, pairs)
     return pairs
 
 
 @kernel
-def _cross(p: int, q: int, r: int, s: int, x: Array, y: Array) -> bool:
-    """Whether the segments p–q and r–s cross between their ends."""
-    if p in (r, s) or q in (r, s):
-        return False
-    d1 = (x[q] - x[p]) * (y[r] - y[p]) - (y[q] - y[p]) * (x[r] - x[p])
-    d2 = (x[q] - x[p]) * (y[s] - y[p]) - (y[q] - y[p]) * (x[s] - x[p])
-    d3 = (x[s] - x[r]) * (y[p] - y[r]) - (y[s] - y[r]) * (x[p] - x[r])
-    d4 = (x[s] - x[r]) * (y[q] - y[r]) - (y[s] - y[r]) * (x[q] - x[r])
-    found: bool = d1 * d2 < 0.0 and d3 * d4 < 0.0
+def _cross_in(
+    cells: Cells, a: Array, b: Array, px: Array, py: Array, qx: Array, qy: Array, pairs: Array
+) -> int:
+    """How many pairs of contacts in the same cell cross; they are written where there is room."""
+    found = 0
+    for cell in range(cells.columns * cells.rows):
+        for s in range(cells.first[cell], cells.first[cell + 1]):
+            for t in range(s + 1, cells.first[cell + 1]):
+                e, f = cells.member[t], cells.member[s]  # the later one stands first in a cell
+                x0 = max(min(px[e], qx[e]), min(px[f], qx[f]))
+                y0 = max(min(py[e], qy[e]), min(py[f], qy[f]))
+                row = cell_of(y0, cells.south, cells.size, cells.rows)
+                column = cell_of(x0, cells.west, cells.size, cells.columns)
+                if row * cells.columns + column != cell:
+                    continue
+                meet = a[e] == a[f] or a[e] == b[f] or b[e] == a[f] or b[e] == b[f]
+                if meet or not _cross(e, f, px, py, qx, qy) or not _cross(f, e, px, py, qx, qy):
+                    continue
+                if found < len(pairs):
+                    pairs[found, 0], pairs[found, 1] = e, f
+                found += 1
     return found
+
+
+@kernel
+def _cross(e: int, f: int, px: Array, py: Array, qx: Array, qy: Array) -> bool:
+    """Whether the ends of a segment f lie on two sides of another one e."""
+    dx, dy = qx[e] - px[e], qy[e] - py[e]
+    p = dx * (py[f] - py[e]) - dy * (px[f] - px[e])
+    q = dx * (qy[f] - py[e]) - dy * (qx[f] - px[e])
+    parted: bool = p * q < 0.0
+    return parted

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.compile import Array, kernel
+from demflow.model.network.cells import Cells, cell_of, into_cells
 from demflow.model.products import Network
 
 
@@ -38,49 +39,10 @@ def crossings(network: Network, start: np.ndarray, end: np.ndarray) -> Crossings
     i, j = network.pipe_from[pipes], network.pipe_to[pipes]
     ends = (network.x[i], network.y[i], network.x[j], network.y[j])
     size = 2.0 * float(np.hypot(ends[2] - ends[0], ends[3] - ends[1]).mean())
-    cells, first, west, south, columns, rows = _sorted_into_cells(*ends, size)
     lines = (start[:, 0].copy(), start[:, 1].copy(), end[:, 0].copy(), end[:, 1].copy())
-    line, pipe, fraction, along = _crossed(
-        *lines, *ends, cells, first, west, south, columns, rows, size
-    )
+    line, pipe, fraction, along = _crossed(*lines, *ends, into_cells(*ends, size))
     order = np.lexsort((pipe, along, line))
     return Crossings(line[order], pipes[pipe[order]], fraction[order], along[order])
-
-
-@kernel
-def _cell_of(value: float, low: float, size: float, count: int) -> int:
-    """Cell of a row of `count` in which a coordinate lies; what lies outside is in the last."""
-    return min(max(int((value - low) / size), 0), count - 1)
-
-
-@kernel
-def _sorted_into_cells(
-    px: Array, py: Array, qx: Array, qy: Array, size: float
-) -> tuple[Array, Array, float, float, int, int]:
-    """Segments p–q in each square cell that their boxes meet."""
-    west, south = min(px.min(), qx.min()), min(py.min(), qy.min())
-    columns = int((max(px.max(), qx.max()) - west) / size) + 1
-    rows = int((max(py.max(), qy.max()) - south) / size) + 1
-    first = np.zeros(columns * rows + 1, np.int64)
-    member = np.empty(0, np.int64)
-    for filling in (False, True):
-        for e in range(px.size):
-            c0 = _cell_of(min(px[e], qx[e]), west, size, columns)
-            c1 = _cell_of(max(px[e], qx[e]), west, size, columns)
-            r0 = _cell_of(min(py[e], qy[e]), south, size, rows)
-            r1 = _cell_of(max(py[e], qy[e]), south, size, rows)
-            for row in range(r0, r1 + 1):
-                for column in range(c0, c1 + 1):
-                    cell = row * columns + column
-                    if filling:
-                        first[cell] -= 1
-                        member[first[cell]] = e
-                    else:
-                        first[cell] += 1
-        if not filling:
-            first = np.cumsum(first)
-            member = np.empty(first[-1], np.int64)
-    return member, first, west, south, columns, rows
 
 
 @kernel
@@ -93,15 +55,11 @@ def _crossed(
     py: Array,
     qx: Array,
     qy: Array,
-    member: Array,
-    first: Array,
-    west: float,
-    south: float,
-    columns: int,
-    rows: int,
-    size: float,
+    cells: Cells,
 ) -> tuple[Array, Array, Array, Array]:
     """Line, segment, fraction of the segment and distance along the line of each crossing."""
+    first, member, size = cells.first, cells.member, cells.size
+    west, south, columns, rows = cells.west, cells.south, cells.columns, cells.rows
     seen = np.full(px.size, -1, np.int64)
     count = 0
     line, pipe = np.empty(0, np.int64), np.empty(0, np.int64)
@@ -115,8 +73,8 @@ def _crossed(
         for k in range(ax.size):
             dx, dy = bx[k] - ax[k], by[k] - ay[k]
             length = np.hypot(dx, dy)
-            r0 = _cell_of(min(ay[k], by[k]), south, size, rows)
-            r1 = _cell_of(max(ay[k], by[k]), south, size, rows)
+            r0 = cell_of(min(ay[k], by[k]), south, size, rows)
+            r1 = cell_of(max(ay[k], by[k]), south, size, rows)
             for row in range(r0, r1 + 1):
                 # the stretch of the line in this row of cells, and a little more
                 x0, x1 = min(ax[k], bx[k]), max(ax[k], bx[k])
@@ -128,8 +86,8 @@ def _crossed(
                     high = min(high, 1.0) if row not in (0, rows - 1) else 1.0
                     x0 = min(ax[k] + low * dx, ax[k] + high * dx)
                     x1 = max(ax[k] + low * dx, ax[k] + high * dx)
-                c0 = _cell_of(x0 - 0.001 * size, west, size, columns)
-                c1 = _cell_of(x1 + 0.001 * size, west, size, columns)
+                c0 = cell_of(x0 - 0.001 * size, west, size, columns)
+                c1 = cell_of(x1 + 0.001 * size, west, size, columns)
                 for column in range(c0, c1 + 1):
                     cell = row * columns + column
                     for s in range(first[cell], first[cell + 1]):
