@@ -41,7 +41,6 @@ def prune(n: int, a: Array, b: Array) -> Array:
     return kept
 
 
-@kernel
 def next_half_edges(n: int, origin: Array, angle: Array) -> Array:
     """The half-edge that follows each one around its face, counter-clockwise.
 
@@ -54,44 +53,59 @@ def next_half_edges(n: int, origin: Array, angle: Array) -> Array:
     origin : grain that each half-edge leaves, (2 c,)
     angle : its direction there, (2 c,) rad
     """
-    first = np.zeros(n + 1, np.int64)
-    for h in range(origin.size):
-        first[origin[h] + 1] += 1
-    for v in range(n):
-        first[v + 1] += first[v]
-    end = first.copy()
-    around = np.empty(origin.size, np.int64)
-    for h in range(origin.size):
-        v = origin[h]
-        k = end[v]
-        while k > first[v] and angle[around[k - 1]] > angle[h]:
-            around[k] = around[k - 1]
-            k -= 1
-        around[k] = h
-        end[v] += 1
-    following = np.empty(origin.size, np.int64)
-    for v in range(n):
-        for k in range(first[v], end[v]):
-            # the face lies to the left: turn to the next half-edge clockwise
-            following[around[k] ^ 1] = around[k - 1] if k > first[v] else around[end[v] - 1]
+    end = np.cumsum(np.bincount(origin, minlength=n))
+    around, following = np.empty_like(origin), np.empty_like(origin)
+    _turn(end, origin, angle, around, following)
     return following
 
 
 @kernel
+def _turn(end: Array, origin: Array, angle: Array, around: Array, following: Array) -> None:
+    """Sort the half-edges `around` each grain, whose last one lies before `end`, and link them.
+
+    Arrays of their number are made by NumPy, here and below: it asks for large pages.
+    """
+    first = end.copy()
+    for h in range(origin.size - 1, -1, -1):
+        v = origin[h]
+        first[v] -= 1
+        k = first[v]
+        while k + 1 < end[v] and angle[around[k + 1]] < angle[h]:
+            around[k] = around[k + 1]
+            k += 1
+        around[k] = h
+    for v in range(end.size):
+        for k in range(first[v], end[v]):
+            # the face lies to the left: turn to the next half-edge clockwise
+            following[around[k] ^ 1] = around[k - 1] if k > first[v] else around[end[v] - 1]
+
+
 def walk_faces(following: Array, origin: Array) -> tuple[Array, Array, Array, Array]:
     """Collect the cycles of `following`.
 
     Returns the first corner of each face (faces + 1), the grain and the half-edge at
     each corner, and the face of each half-edge.
     """
-    m = following.size
-    face = np.full(m, -1, np.int64)
-    first = np.empty(m + 1, np.int64)
-    corner_grain = np.empty(m, np.int64)
-    corner_half_edge = np.empty(m, np.int64)
+    first = np.empty(following.size + 1, np.int64)
+    corner_grain, corner_half_edge = np.empty_like(following), np.empty_like(following)
+    face = np.full_like(following, -1)
+    faces = _walk(following, origin, first, corner_grain, corner_half_edge, face)
+    return first[: faces + 1].copy(), corner_grain, corner_half_edge, face
+
+
+@kernel
+def _walk(
+    following: Array,
+    origin: Array,
+    first: Array,
+    corner_grain: Array,
+    corner_half_edge: Array,
+    face: Array,
+) -> int:
+    """Number the faces from half-edge to half-edge; how many there are."""
     faces = 0
     corner = 0
-    for h0 in range(m):
+    for h0 in range(following.size):
         if face[h0] >= 0:
             continue
         first[faces] = corner
@@ -104,7 +118,7 @@ def walk_faces(following: Array, origin: Array) -> tuple[Array, Array, Array, Ar
             h = following[h]
         faces += 1
     first[faces] = corner
-    return first[: faces + 1].copy(), corner_grain, corner_half_edge, face
+    return faces
 
 
 @kernel
