@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from demflow.model.flow.equation.local_rock import mobility_around
+from demflow.model.flow.equation.local_rock import mobility_around, spacing_around
 from demflow.model.outcome import ModelError
 from demflow.model.permeability import permeability
 from demflow.model.region import Circle, Rectangle
@@ -183,7 +183,9 @@ def test_rock_that_conducts_better_along_one_axis():
             cut_conductance=open_.cut_conductance * factor[net.cut],
         )
     )
-    mobility = mobility_around(rock.network, rock.apertures, region, (0.0, 0.0), 0.0)
+    middle = (0.0, 0.0)
+    apart = spacing_around(rock.network, middle, 0.0)
+    mobility = mobility_around(rock.network, rock.apertures, region, middle, 0.0, apart)
     assert mobility[0, 0] / mobility[1, 1] == pytest.approx(along, rel=1e-9)
     for ratio in (0.01, 0.3, 1.0, 2.5):
         radius = ratio * spacing(rock)

@@ -37,7 +37,12 @@ def spacing_around(network: Network, at: tuple[float, float], radius: float) -> 
 
 
 def mobility_around(
-    network: Network, apertures: Apertures, region: Region, at: tuple[float, float], radius: float
+    network: Network,
+    apertures: Apertures,
+    region: Region,
+    at: tuple[float, float],
+    radius: float,
+    spacing: float,
 ) -> np.ndarray:
     """Mobility k/μ (2, 2), m²/(Pa s), of the rock around a well of a radius (m), symmetric.
 
@@ -53,8 +58,8 @@ def mobility_around(
     region : where the case lies, m
     at : centre of the well, m
     radius : of the well, m
+    spacing : of the pores there, m
     """
-    spacing = spacing_around(network, at, radius)
     distance = np.hypot(network.x - at[0], network.y - at[1])
     end = radius + MEASURED_PORES * spacing
     node = np.full(len(network.x), -1)

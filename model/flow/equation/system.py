@@ -303,9 +303,9 @@ def _placed(
     fields: list[WellField | GroundedField | None] = []
     mean, apart = np.zeros(len(wells)), np.zeros(len(wells))
     for k, well in enumerate(wells):
-        mobility = mobility_around(network, apertures, region, well.at, well.radius)
-        mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
         apart[k] = spacing = spacing_around(network, well.at, well.radius)
+        mobility = mobility_around(network, apertures, region, well.at, well.radius, spacing)
+        mean[k] = np.sqrt(max(np.linalg.det(mobility), 0.0))
         rim = distance_to_rim(region, np.array([well.at]))[0] - well.radius
         reach = well.radius + spacing * float(np.clip(rim / spacing, *RING_PORES))
         if not mean[k]:

@@ -64,8 +64,9 @@ class Edges(NamedTuple):
     turned: np.ndarray  # (e,) bool: that edge runs from b to a
 
     def only(self, which: np.ndarray) -> Edges:
-        """Some of them."""
-        return Edges(*(column[which] for column in self))
+        """Some of them, by their numbers or a mask (e,)."""
+        some = np.flatnonzero(which) if which.dtype == bool else which
+        return Edges(*(column[some] for column in self))
 
 
 class Wells(NamedTuple):
@@ -149,14 +150,21 @@ def joints_of(edges: Edges, network: Network, wells: Wells) -> Edges:
     touching = _both_ways(edges.only((owner[edges.a] >= 0) | (owner[edges.b] >= 0)), network)
     along = touching.only((touching.pipe >= 0) & (owner[touching.a] >= 0))
     parts = [_along_fractures(along, network, wells, owner)]
-    rock, touching = edges.only(edges.pipe < 0), touching.only(touching.pipe < 0)
+    touching = touching.only(touching.pipe < 0)
     for group in _groups(touching, wells, d):
-        ours = np.isin(owner, group.members)
+        ours = _marked(len(wells.sites) + 1, group.members)[owner]  # the last one is nobody
         from_it = touching.only(ours[touching.a])
         meets_rock = not ours[from_it.b].all()
         if meets_rock and all(wells.fields[k] is not None for k in group.members):
-            parts.append(_calibrated(rock, from_it, network, wells, group))
+            parts.append(_calibrated(edges, from_it, network, wells, group))
     return Edges(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
+
+
+def _marked(count: int, which: np.ndarray | list[int]) -> np.ndarray:
+    """A mask (count,) of some numbers."""
+    mask = np.zeros(count, dtype=bool)
+    mask[which] = True
+    return mask
 
 
 def _both_ways(edges: Edges, network: Network) -> Edges:
@@ -213,7 +221,9 @@ def _along_fractures(leaving: Edges, network: Network, wells: Wells, owner: np.n
     return leaving._replace(a=d + well, b=np.where(other < 0, leaving.b, d + other), g=g)
 
 
-def _calibrated(rock: Edges, from_it: Edges, network: Network, wells: Wells, group: Group) -> Edges:
+def _calibrated(
+    edges: Edges, from_it: Edges, network: Network, wells: Wells, group: Group
+) -> Edges:
     """What joins a group of wells to the rock around, and to one another."""
     members, pairs = group
     fields = [field for k in members if (field := wells.fields[k]) is not None]
@@ -224,7 +234,7 @@ def _calibrated(rock: Edges, from_it: Edges, network: Network, wells: Wells, gro
     best = np.inf
     for strength in TILTS:
         tried = [_star(from_it, network, wells, k, pores, unit, strength) for k in members]
-        around = _surroundings(rock, tried, network, wells, members, unit)
+        around = _surroundings(edges, tried, network, wells, members, unit)
         found, off = _fitted(around, tried, pairs, want)
         if off < best:
             best, stars, factors = off, tried, found
@@ -313,7 +323,9 @@ def _star(
     """
     field, site = wells.fields[k], wells.sites[k]
     assert field is not None
-    ours = np.isin(from_it.a, wells.taken[k]) & ~np.isin(from_it.b, wells.taken[k])
+    terminals = max(len(network.x), 1 + int(from_it.b.max(initial=0)))
+    mine = _marked(terminals, wells.taken[k])
+    ours = mine[from_it.a] & ~mine[from_it.b]
     leaves = from_it.only(ours)
     start = np.column_stack([network.x, network.y])[leaves.a]
     flow = leaves.g.copy()
@@ -325,7 +337,7 @@ def _star(
     flow *= _tilt(flow, leaves.end, np.asarray(site.at)) ** strength
     rise = field.at_points(leaves.end) - field.at_wall
     g = flow / np.maximum(rise, LEAST_RISE) / unit
-    out = ~np.isin(leaves.b, pores)
+    out = ~_marked(terminals, pores)[leaves.b]
     most = leaves.g[out] / WELL_FLOOR
     return Star(leaves.b[out], leaves.end[out], most, g[out], leaves.way[out], leaves.turned[out])
 
@@ -356,7 +368,7 @@ class Surroundings(NamedTuple):
 
 
 def _surroundings(
-    rock: Edges,
+    edges: Edges,
     stars: list[Star],
     network: Network,
     wells: Wells,
@@ -366,13 +378,13 @@ def _surroundings(
     """Solve the rock within the ring around a group of wells."""
     d = len(network.x)
     fields = [field for k in group if (field := wells.fields[k]) is not None]
-    place = np.column_stack([network.x, network.y])
     node = np.full(
-        max(d, int(rock.b.max(initial=0)) + 1, *(1 + s.to.max(initial=0) for s in stars)), -1
+        max(d, int(edges.b.max(initial=0)) + 1, *(1 + s.to.max(initial=0) for s in stars)), -1
     )
     near = np.zeros(d, dtype=bool)
     for field in fields:
-        near |= np.linalg.norm(place - field.at, axis=1) < field.reach
+        dx, dy = network.x - field.at[0], network.y - field.at[1]
+        near |= dx * dx + dy * dy < field.reach**2
     for k in group:
         near[wells.taken[k]] = False
     for star in stars:
@@ -382,14 +394,16 @@ def _surroundings(
     node[local] = np.arange(len(local))
     taken = np.zeros(len(node), dtype=bool)
     taken[np.concatenate([wells.taken[k] for k in group])] = True
-    felt = (node[rock.a] >= 0) | (node[rock.b] >= 0)
-    rest = rock.only(felt & ~taken[rock.a] & ~taken[rock.b])
+    felt = np.flatnonzero((node[edges.a] >= 0) | (node[edges.b] >= 0))
+    rest = edges.only(felt[edges.pipe[felt] < 0])
+    rest = rest.only(~taken[rest.a] & ~taken[rest.b])
 
     a, b = node[rest.a], node[rest.b]
     within, out, back = (a >= 0) & (b >= 0), (a >= 0) & (b < 0), (a < 0) & (b >= 0)
     ends = np.concatenate([a[out], b[back]])
     end_g = np.concatenate([rest.g[out], rest.g[back]]) / unit
-    end_place = np.concatenate([rest.end[out], place[rest.a[back]]])
+    inner = rest.a[back]
+    end_place = np.concatenate([rest.end[out], np.column_stack([network.x, network.y])[inner]])
     end_u = np.column_stack([f.at_points(end_place) for f in fields])
     i, j, g = a[within], b[within], rest.g[within] / unit
     held = reached(len(local), i, j, ends[end_g > 0.0])

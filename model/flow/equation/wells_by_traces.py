@@ -152,12 +152,11 @@ def _seen_from(
     """
     site = wells.sites[k]
     at = np.asarray(site.at)
-    ours = np.flatnonzero((edges.a == len(network.x) + k) & (edges.way >= 0))
+    leaves = (edges.a == len(network.x) + k) & (edges.way >= 0)
+    ours = np.flatnonzero(leaves)
     place = np.column_stack([apertures.node_x, apertures.node_y])
     if len(wells.taken[k]) == 1:
-        other = np.ones(len(edges.a), dtype=bool)
-        other[ours] = False
-        kept = other[cuts.way] | (cuts.node < 0)
+        kept = ~leaves[cuts.way] | (cuts.node < 0)
         found = [cuts.only(kept)]
         for line in lines.tolist():
             start, end, nodes = _stretch(apertures, line, wells.spacing[k])
@@ -171,7 +170,7 @@ def _seen_from(
             none = np.zeros(len(way))
             found.append(Cuts(way, far, nodes[nearest], none, none))
         return joined_cuts(*found)
-    of_well = np.flatnonzero(np.isin(cuts.way, ours) & (cuts.node >= 0))
+    of_well = np.flatnonzero(leaves[cuts.way] & (cuts.node >= 0))
     here = np.hypot(*(place[cuts.node[of_well]] - at).T)
     far = np.hypot(*(edges.end[cuts.way[of_well]] - at).T)
     fraction = cuts.fraction.copy()
@@ -336,7 +335,8 @@ def _around(
     """Solve the rock within the ring around a well, but for some ways; those of them within."""
     d, at = len(network.x), np.asarray(wells.sites[k].at)
     near = np.zeros(max(len(place), 1 + int(max(edges.a.max(), edges.b.max()))), dtype=bool)
-    near[:d] = network.inside & (np.linalg.norm(place[:d] - at, axis=1) < field.free.reach)
+    dx, dy = network.x - at[0], network.y - at[1]
+    near[:d] = network.inside & (dx * dx + dy * dy < field.free.reach**2)
     to = edges.b[edges.a == d + k]
     near[to[to < d]] = True
     near[np.concatenate(wells.taken)] = False

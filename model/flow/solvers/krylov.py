@@ -566,7 +566,8 @@ def balanced(
         return pressure, integral, _sum(pressure, basis.stored), np.abs(missing)
     in_flow = _sum(basis.modes.rate(lag), basis.stored) - given - _sum(pressure, let_in)
     told = np.maximum(np.abs(missing), lag * np.abs(in_flow))
-    largest = np.abs(pressure) @ np.abs(basis.vectors).max(axis=0)
+    highest = np.maximum(basis.vectors.max(axis=0), -basis.vectors.min(axis=0))
+    largest = np.abs(pressure) @ highest
     noise = LOST * np.finfo(float).eps * float(system.fixed_g.sum()) * largest
     mend = (let_in / np.where(size > 0.0, size, np.inf))[..., None, :]
     pressure += np.clip(in_flow, -noise, noise)[..., None] * mend

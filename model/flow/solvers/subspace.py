@@ -162,6 +162,8 @@ class Subspace:
 
     def first_decay(self) -> float:
         """Rate at which the source's own pores respond, 1/s; 0 where there are none."""
+        if self.start == 0 and self.rest == 0.0:  # the space begins with them
+            return float(self._projected[0, 0])
         load = self.source / self.root
         size = _size(load)
         return float(load / size @ self._applied(load / size)) if size > 0.0 else 0.0

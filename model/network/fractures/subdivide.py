@@ -25,8 +25,9 @@ class Cuts(NamedTuple):
     spur: np.ndarray  # (c,) part of the connection's resistance from its place to the node
 
     def only(self, which: np.ndarray) -> Cuts:
-        """Some of them."""
-        return Cuts(*(column[which] for column in self))
+        """Some of them, by their numbers or a mask (c,)."""
+        some = np.flatnonzero(which) if which.dtype == bool else which
+        return Cuts(*(column[some] for column in self))
 
     def shifted(self, by: int) -> Cuts:
         """The same of connections numbered from `by` on."""
