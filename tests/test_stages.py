@@ -3,6 +3,7 @@
 import dataclasses
 import inspect
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -90,8 +91,6 @@ COUPLED = Scene(
     coupling=Coupling(method="linear", load_yy=1e6),
     times=(1.0, 10.0, 100.0),
 )
-PRODUCTS = run_stages(SCENE)
-COUPLED_PRODUCTS = run_stages(COUPLED)
 FOLLOWING = dataclasses.replace(
     COUPLED,
     stress=Stress(1.2e7, 1e7),
@@ -99,15 +98,26 @@ FOLLOWING = dataclasses.replace(
     coupling=Coupling(method="apertures", load_yy=1e6),
     solver=Solver(tolerance=1e-2),
 )
-FOLLOWING_PRODUCTS = run_stages(FOLLOWING)
-SEEN = PRODUCTS["observe"]
+
+
+@cache
+def products(scene: Scene) -> dict:
+    """Of all stages of a scene, once for all that look at them."""
+    return run_stages(scene)
+
+
+def seen() -> dict:
+    """What the scene is seen to do."""
+    return products(SCENE)["observe"]
 
 
 def made_by(stage):
     """A scene that wants a stage, and its products."""
     if stage.name == "follow":
-        return FOLLOWING, FOLLOWING_PRODUCTS
-    return (SCENE, PRODUCTS) if stage.name in PRODUCTS else (COUPLED, COUPLED_PRODUCTS)
+        return FOLLOWING, products(FOLLOWING)
+    return (
+        (SCENE, products(SCENE)) if stage.name in products(SCENE) else (COUPLED, products(COUPLED))
+    )
 
 
 def changed(**fields):
@@ -116,8 +126,8 @@ def changed(**fields):
 
 def test_same_scene_same_bits():
     again = simulate(SCENE)
-    assert set(again) == set(SEEN)
-    for name, value in SEEN.items():
+    assert set(again) == set(seen())
+    for name, value in seen().items():
         np.testing.assert_array_equal(again[name], value, err_msg=name)
     assert model.simulate is simulate
 
@@ -358,14 +368,14 @@ def test_shapes_are_those_of_the_table():
     rare |= {STOPPED, "emulator_snapshots", "well_limited", "highest_well_pressure"}
     rare |= {name for name, quantity in CASE.items() if set(quantity.needs) & set(OF_BREAKING)}
     told = {"coupling_used", "coupling_reason", "kept_conductance"}  # of coupled scenes alone
-    assert set(SEEN) == set(CASE) - rare - set(OF_COUPLING) - told
-    assert told <= set(FOLLOWING_PRODUCTS["observe"])
-    coupled = COUPLED_PRODUCTS["observe"]
+    assert set(seen()) == set(CASE) - rare - set(OF_COUPLING) - told
+    assert told <= set(products(FOLLOWING)["observe"])
+    coupled = products(COUPLED)["observe"]
     assert set(OF_COUPLING) <= set(coupled) <= set(CASE) - rare
     for name, value in coupled.items():
         shape = tuple({**sizes, "well": 1, "wall": 4}[d] for d in CASE[name].dimensions)
         assert value.shape == shape, name
-    for name, value in SEEN.items():
+    for name, value in seen().items():
         assert value.shape == tuple(sizes[d] for d in CASE[name].dimensions), name
     steady = dataclasses.replace(
         SCENE,
@@ -383,29 +393,33 @@ def test_shapes_are_those_of_the_table():
 
 
 def test_numbers_of_a_case_are_sound():
-    assert SEEN["mass_balance_error"] <= 1e-10
-    assert SEEN["porosity"] == pytest.approx(0.17, abs=0.02)
-    assert SEEN["grain_count"] == pytest.approx(150, rel=0.1)
-    assert SEEN["domain_count"] == PRODUCTS["network"].inside.sum()
-    np.testing.assert_allclose(SEEN["stress_achieved"][:2], [1.2e7, 1e7], rtol=0.02)
-    np.testing.assert_array_equal(SEEN["permeability"], SEEN["permeability"].T)
-    assert np.all(SEEN["well_pressure"] < 7e6 + 1)
+    assert products(SCENE)["observe"]["mass_balance_error"] <= 1e-10
+    assert products(SCENE)["observe"]["porosity"] == pytest.approx(0.17, abs=0.02)
+    assert products(SCENE)["observe"]["grain_count"] == pytest.approx(150, rel=0.1)
+    assert seen()["domain_count"] == products(SCENE)["network"].inside.sum()
+    np.testing.assert_allclose(
+        products(SCENE)["observe"]["stress_achieved"][:2], [1.2e7, 1e7], rtol=0.02
+    )
+    np.testing.assert_array_equal(
+        products(SCENE)["observe"]["permeability"], products(SCENE)["observe"]["permeability"].T
+    )
+    assert np.all(products(SCENE)["observe"]["well_pressure"] < 7e6 + 1)
 
 
 def test_maps_are_named_and_shaped_as_the_table_says():
-    maps = case_maps(SCENE, PRODUCTS)
+    maps = case_maps(SCENE, products(SCENE))
     sizes = {
-        "domain": int(SEEN["domain_count"]),
+        "domain": int(seen()["domain_count"]),
         "pipe": len(maps["aperture"]),
-        "grain": len(PRODUCTS["pack"].x),
-        "contact": len(PRODUCTS["stress"].contact_a),
-        "crack": len(PRODUCTS["stress"].crack_mode),
-        "fracture_node": len(PRODUCTS["open"].node_x),
-        "branch": len(PRODUCTS["open"].branch_a),
+        "grain": len(products(SCENE)["pack"].x),
+        "contact": len(products(SCENE)["stress"].contact_a),
+        "crack": len(products(SCENE)["stress"].crack_mode),
+        "fracture_node": len(products(SCENE)["open"].node_x),
+        "branch": len(products(SCENE)["open"].branch_a),
         "elapsed_time": 3,
         "well": len(SCENE.wells),
         "fracture": len(SCENE.fractures),
-        "trace": len(PRODUCTS["open"].trace_start),
+        "trace": len(products(SCENE)["open"].trace_start),
     }
     for name, quantity in MAPS.items():
         assert maps[name].shape == tuple(sizes[d] for d in quantity.dimensions), name
@@ -416,7 +430,7 @@ def test_maps_are_named_and_shaped_as_the_table_says():
     # polygons: shoelace over the mesh gives the areas of the domains
     faces = maps["mesh_face_nodes"]
     x, y = maps["mesh_node_x"], maps["mesh_node_y"]
-    net = PRODUCTS["network"]
+    net = products(SCENE)["network"]
     for face, area in zip(faces, net.area[net.inside], strict=True):
         corners = face[face >= 0]
         px, py = x[corners], y[corners]
@@ -425,12 +439,14 @@ def test_maps_are_named_and_shaped_as_the_table_says():
 
 
 def test_the_map_of_a_well_has_the_well_s_pressure():
-    maps = case_maps(SCENE, PRODUCTS)
+    maps = case_maps(SCENE, products(SCENE))
     in_well = np.hypot(maps["x"], maps["y"]) < 0.15
     assert in_well.any()
     np.testing.assert_allclose(
         maps["pressure"][:, in_well],
-        np.broadcast_to(SEEN["well_pressure"][0][:, None], (3, in_well.sum())),
+        np.broadcast_to(
+            products(SCENE)["observe"]["well_pressure"][0][:, None], (3, in_well.sum())
+        ),
     )
 
 

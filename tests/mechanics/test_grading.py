@@ -1,5 +1,7 @@
 """Packings that are finer around chosen places, and rock that is one everywhere."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -7,43 +9,49 @@ from demflow.model.mechanics.packing.grading import SLOPE, coarse_radius, graded
 from demflow.model.mechanics.packing.packing import pack
 from demflow.model.network.domains import network
 from demflow.model.permeability import unit_permeability
+from demflow.model.products import Packing
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene.lines import RefinedPlace
 
 DISC = Circle(1.0)
 HERE = (RefinedPlace((0.2, 0.1), (0.2, 0.1), 0.15, 0.25),)
-GRADED = pack(
-    region=DISC, count=900, mean_radius=None, packing="random", radius_ratio=1.66, porosity=0.18,
-    seed=3, refine=HERE,
-)  # fmt: skip
+
+
+@cache
+def finer() -> Packing:
+    """Grains that are finer around the middle."""
+    return pack(
+        region=DISC, count=900, mean_radius=None, packing="random", radius_ratio=1.66,
+        porosity=0.18, seed=3, refine=HERE,
+    )  # fmt: skip
 
 
 def test_grains_are_finest_within_and_grow_slowly_to_the_coarse_ones():
-    place = np.column_stack([GRADED.x, GRADED.y])
+    place = np.column_stack([finer().x, finer().y])
     distance = np.hypot(place[:, 0] - 0.2, place[:, 1] - 0.1)
     inside = np.hypot(*place.T) < 1.0
     assert np.count_nonzero(inside) == pytest.approx(900, rel=0.03)
-    fine, coarse = GRADED.radius[distance < 0.15].mean(), GRADED.radius[distance > 0.8].mean()
-    size = GRADED.scale * GRADED.radius.max() / GRADED.scale.max()
+    fine, coarse = finer().radius[distance < 0.15].mean(), finer().radius[distance > 0.8].mean()
+    size = finer().scale * finer().radius.max() / finer().scale.max()
     assert fine < 0.5 * coarse
-    assert np.all(GRADED.scale[distance < 0.14] == 0.25)
+    assert np.all(finer().scale[distance < 0.14] == 0.25)
     # each grain is of its place's size, within the law of radii
-    ratio = GRADED.radius / size
+    ratio = finer().radius / size
     assert ratio.max() / ratio.min() < 2.2
-    beside = np.abs(np.diff(GRADED.scale[[GRADED.contact_a, GRADED.contact_b]], axis=0))
+    beside = np.abs(np.diff(finer().scale[[finer().contact_a, finer().contact_b]], axis=0))
     assert beside.max() < 2.5 * SLOPE
 
 
 def test_it_packs_as_grains_of_one_size_do():
-    assert GRADED.porosity == pytest.approx(0.18, abs=0.005)
-    assert GRADED.unbalanced_ratio <= 1e-3
-    assert 3.2 < GRADED.coordination < 4.2
+    assert finer().porosity == pytest.approx(0.18, abs=0.005)
+    assert finer().unbalanced_ratio <= 1e-3
+    assert 3.2 < finer().coordination < 4.2
 
 
 def test_one_aperture_is_one_permeability_in_fine_grains_and_in_coarse():
     """Measured where grains are four times finer, and in the whole; porosities, too."""
-    whole = network(GRADED, region=DISC, even=True)
-    moved = GRADED._replace(x=GRADED.x - 0.2, y=GRADED.y - 0.1)
+    whole = network(finer(), region=DISC, even=True)
+    moved = finer()._replace(x=finer().x - 0.2, y=finer().y - 0.1)
     fine = network(moved, region=Circle(0.25), even=True)
     k = np.trace(unit_permeability(whole))
     assert np.trace(unit_permeability(fine)) == pytest.approx(k, rel=0.03)
