@@ -58,10 +58,14 @@ def _in_palette(frame: np.ndarray, palette: np.ndarray) -> Image.Image:
     """A frame (rows, columns, 3) in the nearest colours of a palette (256, 3)."""
     # what Pillow takes for nearest is a few steps off: white was grey
     red, green, blue = np.moveaxis(frame.astype(np.int64), -1, 0)
-    codes, where = np.unique(red << 16 | green << 8 | blue, return_inverse=True)
-    each = np.stack([codes >> 16, codes >> 8 & 255, codes & 255], axis=1)
+    codes = red << 16 | green << 8 | blue
+    nearest = np.zeros(1 << 24, dtype=np.uint8)  # place in the palette of every colour there is
+    nearest[codes] = 1
+    (there,) = np.nonzero(nearest)
+    each = np.stack([there >> 16, there >> 8 & 255, there & 255], axis=1)
     off = (palette**2).sum(axis=1) - 2 * each @ palette.T
-    found = Image.fromarray(off.argmin(axis=1).astype(np.uint8)[where.reshape(frame.shape[:2])])
+    nearest[there] = off.argmin(axis=1)
+    found = Image.fromarray(nearest[codes])
     found.putpalette(palette.astype(np.uint8).tobytes())
     return found
 

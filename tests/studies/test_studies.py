@@ -30,7 +30,10 @@ def ran(request, one_worker, tmp_path_factory):
     """A study, its dataset and the folder of its results, from one small run."""
     results = tmp_path_factory.mktemp(request.param.stem)
     study = sweep.load_study(request.param, smoke=True)
-    with mock.patch("demflow.sweep.figures.style.DPI", 60):  # as coarse as can be told from none
+    with (
+        mock.patch("demflow.sweep.figures.style.DPI", 60),  # as coarse as can be told from none
+        mock.patch("demflow.sweep.figures.maps.pixels", return_value=320),
+    ):
         dataset = sweep.run(request.param, workers=1, results=results, smoke=True)
     return study, dataset, results / study.name
 

@@ -13,7 +13,7 @@ from PIL import Image
 import demflow.sweep.figures as figures
 from demflow.model.outcome import Status
 from demflow.model.quantities import CASE
-from demflow.sweep.figures import style, write_figures
+from demflow.sweep.figures import maps, style, write_figures
 from demflow.sweep.report import write_report
 from demflow.sweep.report.html import escape
 from demflow.sweep.store import written
@@ -130,6 +130,7 @@ def test_every_pattern_of_failures_is_drawn(name, tmp_path, monkeypatch):
     if name == "build_up":
         monkeypatch.setattr(figures, "case_at", shut_in)
     monkeypatch.setattr(style, "DPI", 20)
+    monkeypatch.setattr(maps, "pixels", lambda: 100)
     rng = np.random.default_rng(3)
     number = int(np.prod(study.shape))
     drawn = 0
@@ -149,6 +150,7 @@ def test_only_what_was_drawn_is_ever_replaced_or_removed(tmp_path, monkeypatch):
     study = study_of(FEW, tmp_path)
     dataset = invented_dataset(study)
     monkeypatch.setattr(style, "DPI", 20)
+    monkeypatch.setattr(maps, "pixels", lambda: 100)
     monkeypatch.setattr(figures, "case_of", lambda *_, **__: invented_maps(study, (0,) * 4, 6.0))
     folder, elsewhere = tmp_path / "figures", tmp_path / "elsewhere.png"
     folder.mkdir()
