@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from demflow.model.flow.solvers.registry import SOLVERS
+from tests.flow.bounds import OFF
 from tests.peers.pressures import OPENPNM, ours, taken
 
 
@@ -19,5 +20,4 @@ def test_pressures_are_those_of_openpnm(method):
         theirs = np.atleast_2d(kept[name])[:, : made.n]
     found = ours(made, method)
     assert np.ptp(theirs[-1]) > 0.1
-    bound = {"explicit": 1e-3, "steady": 1e-8}.get(method, 2e-7)
-    assert np.abs(found - theirs).max() <= bound
+    assert np.abs(found - theirs).max() <= OFF[method].peer

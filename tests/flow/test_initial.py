@@ -23,6 +23,7 @@ from demflow.model.scene import (
     Trace,
     Well,
 )
+from tests.flow.bounds import OFF
 from tests.reservoirs import dense_matrices, reservoir
 from tests.rocks import random_graph, square_lattice
 
@@ -36,7 +37,6 @@ STORES = Well(name="stores", at=(-0.4, -0.2), radius=0.1, rate=0.0, wellbore_sto
 HELD = Well(name="held", at=(0.5, -0.4), radius=0.08, pressure=0.0)
 PROBES = (Probe("one", (-0.1, 0.4)),)
 GRADIENT = (3e5, -1e5)
-ERROR = {"explicit": 2e-3, "implicit": 1e-6, "krylov": 1e-6}
 
 
 def controls(wells, boundaries, times, start, gradient=(0.0, 0.0), reference=0.0):
@@ -89,7 +89,7 @@ def test_a_linear_field_decays_as_the_eigen_solution_says(method, sides):
     weight = modes.T @ (root * start[:m])
     exact = np.exp(-np.outer(times, decay)) * weight @ modes.T / root
     exact = np.column_stack([exact, -exact @ matrix[:m, m:] @ shut.T])
-    error = ERROR[method] * np.abs(start).max()
+    error = OFF[method].initial * np.abs(start).max()
     node = system.node_of_domain[responses.domain]
     np.testing.assert_allclose(maps[:, node >= 0], exact[:, node[node >= 0]], atol=error)
     np.testing.assert_allclose(seen["well_pressure"][:2], exact[:, system.well_node].T, atol=error)
@@ -106,7 +106,7 @@ def test_a_linear_field_decays_as_the_eigen_solution_says(method, sides):
         )
         scale = np.abs(flow_in).max()
         np.testing.assert_allclose(
-            seen["boundary_flow"][0], flow_in, atol=100 * ERROR[method] * scale
+            seen["boundary_flow"][0], flow_in, atol=100 * OFF[method].initial * scale
         )
     else:  # sealed: all comes to the mean
         late, _, _ = run(controls(wells, (), (1e8 * LIMIT,), "gradient", GRADIENT), ())

@@ -14,6 +14,7 @@ from demflow.model.outcome import ModelError
 from demflow.model.products import Permeability
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import Probe, Trace, Well
+from tests.flow.bounds import OFF
 from tests.reservoirs import dense_matrices, exact_response, reservoir
 from tests.rocks import packing_of, random_graph
 
@@ -43,7 +44,6 @@ LIMIT = step_limit(SYSTEM)
 TIMES = tuple(np.geomspace(3.0, 3e4, 15) * LIMIT)
 LATE = 1e7 * LIMIT
 
-ERROR = {"explicit": 1e-3, "implicit": 1e-8, "krylov": 1e-8, "steady": 1e-9}
 every = pytest.mark.parametrize("method", SOLVERS)
 transient = pytest.mark.parametrize("method", [m for m, s in SOLVERS.items() if s.transient])
 
@@ -72,7 +72,7 @@ def of_rock(method, viscosity=1e-3, bulk_modulus=1e9, aperture=2e-5, time=1.0):
 
 
 def test_every_solver_states_its_error_here():
-    assert set(ERROR) == set(SOLVERS)
+    assert set(OFF) == set(SOLVERS)
 
 
 @every
@@ -94,23 +94,23 @@ def test_agrees_with_a_dense_eigen_solution(method):
         node = SYSTEM.node_of_domain[found.domain]
         known = node >= 0
         np.testing.assert_allclose(
-            pressure[:, known], exact[:, node[known]], atol=ERROR[method] * scale
+            pressure[:, known], exact[:, node[known]], atol=OFF[method].response * scale
         )
         # wells at a rate come first among the outputs
         wells = exact[:, SYSTEM.pores :]
-        np.testing.assert_allclose(output[:, :2], wells, atol=ERROR[method] * scale)
+        np.testing.assert_allclose(output[:, :2], wells, atol=OFF[method].response * scale)
         # then the inflows: what the fixed pressures push through their links
         for k in range(SYSTEM.fixed_count):
             ours = SYSTEM.fixed_source == k
             own = 1.0 if source == k else 0.0
             flow = (own - exact[:, SYSTEM.fixed_node[ours]]) @ SYSTEM.fixed_g[ours]
             size = SYSTEM.fixed_g[ours].sum() * scale
-            np.testing.assert_allclose(output[:, 2 + k], flow, atol=ERROR[method] * size)
+            np.testing.assert_allclose(output[:, 2 + k], flow, atol=OFF[method].response * size)
         # and probes: between the pores around the point, or the well in which it lies
         around = SYSTEM.node_of_domain[AROUND.domain[AROUND.probe == 0]]
         parts = AROUND.part[AROUND.probe == 0]
         np.testing.assert_allclose(
-            output[:, -2], exact[:, around] @ parts, atol=ERROR[method] * scale
+            output[:, -2], exact[:, around] @ parts, atol=OFF[method].response * scale
         )
         np.testing.assert_allclose(output[:, -1], output[:, 0], atol=1e-12 * scale)
 
@@ -175,7 +175,7 @@ def test_mass_is_kept_to_round_off(method):
 @every
 def test_pressures_stay_between_those_that_drive_them(method):
     """A unit step of a fixed pressure keeps 0 ≤ p ≤ 1, and production never raises a pressure."""
-    slack = {"explicit": 1e-13, "implicit": 1e-6, "krylov": 1e-6, "steady": 1e-13}[method]
+    slack = OFF[method].beyond
     found = respond(method, tolerance=1e-7)
     for source in range(3):
         assert found.pressure[source].min() >= -slack

@@ -13,6 +13,7 @@ from demflow.model.outcome import ModelError
 from demflow.model.permeability import permeability
 from demflow.model.region import Circle, Rectangle
 from demflow.model.scene import SceneError, Trace, Well
+from tests.flow.bounds import OFF
 from tests.reservoirs import exact_response, reservoir
 from tests.rocks import hexagonal_lattice, random_graph, square_lattice
 
@@ -31,7 +32,6 @@ WELLS = (
     Well(name="held", at=(0.1, -0.45), radius=0.06, pressure=1.0, skin_factor=3.0),
 )
 SIDES = ("left",)
-ERROR = {"explicit": 1e-3, "implicit": 1e-8, "krylov": 1e-8}
 
 
 def well(**more):
@@ -54,11 +54,11 @@ def test_agrees_with_a_dense_eigen_solution(method):
         for k, node in enumerate(system.well_node):
             scale = np.abs(exact[:, system.well_node]).max()
             np.testing.assert_allclose(
-                found.output[source, :, k], exact[:, node], atol=ERROR[method] * scale
+                found.output[source, :, k], exact[:, node], atol=OFF[method].wellbore * scale
             )
         field = found.pressure[source][:, nodes >= 0]
         np.testing.assert_allclose(
-            field, exact[:, nodes[nodes >= 0]], atol=ERROR[method] * np.abs(exact).max()
+            field, exact[:, nodes[nodes >= 0]], atol=OFF[method].wellbore * np.abs(exact).max()
         )
 
 

@@ -24,6 +24,7 @@ from demflow.model.flow.equation.outputs import map_rows
 from demflow.model.flow.equation.problem import (
     Answer,
     Problem,
+    balanced,
     empty_answer,
     fill_map,
     flow_noise,
@@ -190,7 +191,7 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
     """Stages of one step of `size` s, whose matrix G + C / (γ h) is factored.
 
     The increments come from differences of stage values, not from f − G p, whose round-off
-    a stiff pore would magnify. Every stage is brought back into balance (`_balanced`).
+    a stiff pore would magnify. Every stage is brought back into balance (`balanced`).
 
     Parameters
     ----------
@@ -209,23 +210,10 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
     for i in range(1, len(STAGES)):
         known = state.pressure + STAGES[i, :i] @ increment[:i]
         right = rhs + scaled * known
-        value[i], flow = _balanced(solve(factor, right), drain, right)
+        value[i], flow = balanced(solve(factor, right), drain, right)
         missing = max(missing, size * abs(flow))
         increment[i] = (value[i] - known) / GAMMA
     return Step(size, value, increment, missing)
-
-
-def _balanced(value: np.ndarray, drain: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
-    """A solution (n,) whose sum over all equations, the volume balance, holds to round-off.
-
-    `drain` (n,) are the sums of the matrix's columns. The errors of a factor lean one way, so
-    that what a march stores would part from what it lets in; the last digits of every value,
-    in proportion to it, make up for that. What was missing, m³/s, comes with it.
-    """
-    missing = right.sum() - drain @ value
-    share = np.abs(value)
-    size = float(drain @ share)
-    return value + (missing / size) * share if size > 0.0 else value, float(missing)
 
 
 class Within(NamedTuple):
