@@ -299,8 +299,9 @@ def _fractured(
         "broken_bonds": np.asarray(np.count_nonzero(events.mode != SLID)),
         "tension_cracks": np.asarray(np.count_nonzero(events.mode == 1)),
         "shear_cracks": np.asarray(np.count_nonzero(events.mode == 2)),
-        STOPPED: np.asarray(str(fractured.state.stopped)),
     }
+    if stopped := str(fractured.state.stopped):
+        found[STOPPED] = np.asarray(stopped)
     if "well_pressure" in wanted and np.isfinite(fractured.highest).all():
         found["highest_well_pressure"] = fractured.highest
     if not len(events.time):
@@ -348,8 +349,8 @@ def _closed(
     found = {name: value for name, value in found.items() if name in wanted}
     if found:
         found["kept_conductance"] = until(kept.kept_conductance, times)
-    if followed.standing.stopped:
-        found[STOPPED] = np.asarray(followed.standing.stopped)
+    if stopped := str(followed.standing.stopped):
+        found[STOPPED] = np.asarray(stopped)
     return found
 
 

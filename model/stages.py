@@ -159,15 +159,21 @@ class Stage:
         return _at(self.product) if isinstance(self.product, str) else self.product
 
     def legs_of(self, scene: Scene) -> tuple[Any, ...]:
-        """The legs of a march, in order; of any other stage one, which is nothing."""
-        return (None,) if self.legs is None else self.legs(scene)
+        """The legs of a march, in order; of any other stage one, which is nothing.
+
+        ValueError where a march has none: the case would end without what it asks for.
+        """
+        legs = (None,) if self.legs is None else self.legs(scene)
+        if not legs:
+            raise ValueError(f"stage {self.name} has no legs in a scene that wants it")
+        return legs
 
     def given(self, scene: Scene, leg: int = 0) -> dict[str, Any]:
         """The keyword arguments of its run for a scene, or of one of them by its number."""
         parts = {name: part(scene) for name, part in self.reads.items()}
         options = {name: part(scene) for name, part in self.options.items()}
         parts |= {name: value for name, value in options.items() if value is not None}
-        return parts if self.legs is None else {**parts, "leg": self.legs(scene)[leg]}
+        return parts if self.legs is None else {**parts, "leg": self.legs_of(scene)[leg]}
 
 
 def _at(place: str) -> Any:

@@ -41,6 +41,7 @@ from demflow.model.stages import STAGES, run_stages, simulate
 
 # what one scene is made of, but for marches (tests/coupling)
 ALONE = tuple(stage for stage in STAGES if stage.family is None and stage.legs is None)
+MARCHES = tuple(stage for stage in STAGES if stage.legs is not None)
 BY_NAME = {stage.name: stage for stage in ALONE}
 OTHERWISE = (*OF_COUPLING, *OF_BREAKING)  # observed of scenes of their own
 OBSERVED = tuple(name for name in OBSERVABLES if name not in (*MEASURED_BY_A_TEST, *OTHERWISE))
@@ -113,8 +114,6 @@ def seen() -> dict:
 
 def made_by(stage):
     """A scene that wants a stage, and its products."""
-    if stage.name == "follow":
-        return FOLLOWING, products(FOLLOWING)
     return (
         (SCENE, products(SCENE)) if stage.name in products(SCENE) else (COUPLED, products(COUPLED))
     )
@@ -226,9 +225,12 @@ READS = {
         "boundary",
         "initial",
     },
+    # rates, loads and times are for the legs of a march
+    "fracture": {"bonds", "grains.modulus", "grains.friction", "grains.stiffness_ratio"}
+    | {"grains.seed", "joint", "stress", "probes", "observe", "well.radius"},
     "follow": {"region", "matrix", "fractures", "joint", "viscosity", "bulk_modulus"}
-    | {"grains.modulus", "grains.friction", "grains.stiffness_ratio", "well.radius", "well.rate"}
-    | {"times", "solver", "probes", "observe", "boundary", "initial"},
+    | {"grains.modulus", "grains.friction", "grains.stiffness_ratio", "well.radius"}
+    | {"solver", "probes", "observe", "boundary", "initial"},
     "fractures": {"region", "fractures", "joint", "viscosity", "well.radius"},
     "observe": {"region", "well.rate", "well.radius", "times", "boundary", "initial", "observe"},
 }
@@ -276,10 +278,16 @@ def variants():
 )
 def test_a_parameter_reaches_the_stages_that_need_it_and_no_other(what, other):
     """The inputs of every stage, before and after one parameter changed."""
-    for stage in ALONE:
+    for stage in (*ALONE, *MARCHES):
         here = {k: part(SCENE) for k, part in stage.reads.items()}
         there = {k: part(other) for k, part in stage.reads.items()}
         assert (here != there) == (what in READS[stage.name]), (stage.name, what)
+
+
+def test_a_march_without_legs_is_no_case_without_its_results():
+    march = dataclasses.replace(MARCHES[0], legs=lambda _scene: ())
+    with pytest.raises(ValueError, match=f"{march.name}.*legs"):
+        march.legs_of(FOLLOWING)
 
 
 def test_rates_share_one_transient():
@@ -312,7 +320,7 @@ def test_rates_share_one_transient():
             ),
             {"pack", "network", "open", "flow", "observe"},
         ),
-        (SCENE, {stage.name for stage in ALONE} - {"consolidate", "follow"}),
+        (SCENE, {stage.name for stage in ALONE} - {"consolidate"}),
         (COUPLED, {"pack", "network", "open", "consolidate", "observe"}),
         (FOLLOWING, {"pack", "unit_loads", "stress", "network", "open", "follow", "observe"}),
     ],

@@ -46,10 +46,9 @@ def run(options: argparse.Namespace) -> int:
         say(message)
     say(_summary(finished))
     if finished.failed:
-        say(
-            f"why: demflow status {options.study}{_where(options)}; "
-            "`--retry-failed` tries failed cases again"
-        )
+        again = finished.failed > finished.inaccurate + finished.stopped
+        hint = "; `--retry-failed` tries failed cases again" if again else ""
+        say(f"why: demflow status {options.study}{_where(options)}{hint}")
     _tell_places(finished, options)
     return SOME_FAILED if finished.failed else GOOD
 

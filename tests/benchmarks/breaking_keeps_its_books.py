@@ -54,7 +54,7 @@ def run() -> Result:
     energy = float(found["energy_imbalance"])
     lines = [
         f"{events} events, {found['breaking_factorisations']} factorisations, "
-        f"{found['breaking_solves']} solves, stopped: {str(found['stopped'])!r}",
+        f"{found['breaking_solves']} solves, stopped: {str(found.get('stopped', ''))!r}",
         f"well pressure in MPa {np.round(found['well_pressure'][0] / 1e6, 2).tolist()}",
         f"work that opening and closing within steps hides {found['energy_jerks']:.1e}",
         f"largest force out of balance over the mean contact force {found['unbalanced_ratio']:.1e}",
