@@ -33,6 +33,14 @@ cache.share_sources(_notes)
 os.environ.update(cache.variables(_notes))
 
 
+def pytest_collection_modifyitems(items):
+    """First what starts workers of its own and waits for them: other processes compute meanwhile.
+
+    Where several of them came to such tests together, at the end, all would wait.
+    """
+    items.sort(key=lambda item: "forked_workers" not in item.fixturenames)
+
+
 def pytest_collection_finish():
     """What is imported by now stays: each run that looks for garbage need not go through it."""
     gc.collect()
