@@ -26,6 +26,7 @@ from demflow.sweep.dataset.folder import (
     remove_partial,
 )
 from demflow.sweep.errors import ResultsError
+from demflow.sweep.execution import certificate
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import peak_memory
 from demflow.sweep.execution.progress import Progress
@@ -466,6 +467,8 @@ def _execute(
     schedule = Schedule(plan, stored, failed, costs)
     if not schedule.pending:
         return None
+    if how.scheduler is None:
+        certificate.begin()
     # Dask is imported only where something must run
     from demflow.sweep.execution.loop import execute
 

@@ -91,7 +91,6 @@ DOORS = {  # outer library: the only rooms that may import it
         "sweep.execution.local",
         "sweep.execution.cluster",
         "sweep.execution.worker",
-        "sweep.execution.certificate",
     },
     "netCDF4": {
         "sweep.dataset.collect",
@@ -101,6 +100,7 @@ DOORS = {  # outer library: the only rooms that may import it
     },
     "yaml": {"sweep.study.yaml_source"},
     "rich": {"sweep.command.progress_line"},
+    "cryptography": {"sweep.execution.certificate"},
 }
 
 

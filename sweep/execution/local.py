@@ -15,18 +15,21 @@ from typing import Any
 import dask
 from distributed import Client, LocalCluster, Nanny
 from distributed.core import Status as ServerStatus
+from distributed.security import Security
 
 from demflow.sweep.errors import RunError
-from demflow.sweep.execution.certificate import make_security
+from demflow.sweep.execution import certificate
 from demflow.sweep.execution.pool import Pool
 
 START_ATTEMPTS, START_SECONDS = 6, 20.0  # to start a first worker, where they end by themselves
 KILLED_SECONDS = 120.0  # and where something kills them as they start
 HUNG_SECONDS = 60.0  # without any after which those that are starting are ended, for others
 
-# One thread per worker, whatever library it comes from; set before the workers start.
+# One thread per worker, whatever library it comes from; one heap, and code without the columns of
+# its lines, which saves memory. Set before the workers start.
 THREADS = "NUMBA_NUM", "OMP_NUM", "OPENBLAS_NUM", "MKL_NUM", "VECLIB_MAXIMUM"
 ONE_THREAD = {f"{name}_THREADS": "1" for name in THREADS}
+ENVIRONMENT = ONE_THREAD | {"MALLOC_ARENA_MAX": "1", "PYTHONNODEBUGRANGES": "1"}
 
 SETTINGS: dict[str, Any] = {
     # a death is ours to judge: Dask must neither retry nor blame, nor take a worker that is
@@ -37,7 +40,7 @@ SETTINGS: dict[str, Any] = {
     "distributed.deploy.lost-worker-timeout": "1000 days",
     "distributed.comm.timeouts.connect": "30s",
     "distributed.worker.multiprocessing-method": "spawn",
-    "distributed.nanny.pre-spawn-environ": ONE_THREAD,
+    "distributed.nanny.pre-spawn-environ": ENVIRONMENT,
     # a worker is ended at its limit of memory, not before; nothing is moved to the disk
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
@@ -49,6 +52,7 @@ SETTINGS: dict[str, Any] = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
+    "distributed.admin.low-level-log-length": 0,  # every message, held for who looks for faults
     "distributed.scheduler.work-stealing": False,
     "distributed.scheduler.active-memory-manager.start": False,
     **{f"distributed.{part}.http.routes": [] for part in ("scheduler", "worker", "nanny")},
@@ -83,9 +87,10 @@ class LocalPool(Pool):
 
     async def __aenter__(self) -> LocalPool:
         self._config = dask.config.set(SETTINGS)
+        self._foreign = ENVIRONMENT.keys() - os.environ.keys()  # Dask's nannies set it here, too
         try:
             # other users of the machine may reach the ports, and nothing behind them
-            security = make_security()
+            security = _security(*certificate.made())
             self.cluster = await LocalCluster(
                 n_workers=0,
                 threads_per_worker=1,
@@ -170,6 +175,8 @@ class LocalPool(Pool):
             if leaving.done():
                 break
             self._kill_all()  # they know by now that we leave, and start no others
+        for name in self._foreign:
+            os.environ.pop(name, None)
         self._config.__exit__(None, None, None)
 
     async def _leave(self) -> None:
@@ -188,6 +195,18 @@ class LocalPool(Pool):
     def _kill_all(self) -> None:
         for nanny in self._nannies():
             _kill(nanny)
+
+
+def _security(made: str, key: str) -> Security:
+    """What lets processes that were given it connect to each other, and nobody else.
+
+    Certificate and key go from memory to memory, but for a moment: OpenSSL reads files alone, for
+    which Dask makes a folder that nobody else may enter, and removes it at once.
+    """
+    files = {"tls_ca_file": made}
+    for role in ("client", "scheduler", "worker"):
+        files |= {f"tls_{role}_cert": made, f"tls_{role}_key": key}
+    return Security(require_encryption=True, **files)
 
 
 class _Nanny(Nanny):

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import subprocess
+import sys
 
 import psutil
 import pytest
@@ -10,7 +13,7 @@ from distributed.core import rpc
 from distributed.security import Security
 
 from demflow.sweep.errors import RunError
-from demflow.sweep.execution import local
+from demflow.sweep.execution import certificate, local
 from demflow.sweep.execution.local import LocalPool
 from demflow.sweep.execution.pool import silent_loops
 
@@ -106,6 +109,43 @@ def test_no_more_workers_stand_than_have_something_to_do():
 
     with silent_loops():
         assert asyncio.run(numbers()) == [1, 2, 2]
+
+
+def test_the_environment_of_whoever_runs_stays_as_it_was(monkeypatch):
+    monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
+    before = dict(os.environ)
+
+    async def start() -> None:
+        async with LocalPool(1) as pool, asyncio.timeout(60.0):
+            while not await pool.look():
+                await asyncio.sleep(0.05)
+            assert os.environ["OMP_NUM_THREADS"] == "1"
+
+    with silent_loops():
+        asyncio.run(start())
+    names = local.ENVIRONMENT
+    assert {n: os.environ.get(n) for n in names} == {n: before.get(n) for n in names}
+
+
+def test_every_run_has_another_certificate_and_loads_nothing_to_make_it():
+    code = (
+        "import sys; from demflow.sweep.execution.certificate import made; a, b = made(), made()\n"
+        "assert not set(a) & set(b) and 'cryptography' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(("program", "status"), [("exit 3", 3), ("exec sleep 60", -9)])
+def test_where_no_certificate_can_be_made_the_run_ends_with_a_word(
+    tmp_path, monkeypatch, program, status
+):
+    maker = tmp_path / "maker"
+    maker.write_text(f"#!/bin/sh\n{program}\n")
+    maker.chmod(0o755)
+    monkeypatch.setattr(certificate, "get_executable", lambda: str(maker))
+    monkeypatch.setattr(certificate, "MAKING_SECONDS", 1.0)
+    with pytest.raises(RunError, match=f"could be made .* ended with status {status}"):
+        asyncio.run(LocalPool(1).__aenter__())
 
 
 @pytest.mark.parametrize("scheme", ["tcp", "tls"])
