@@ -547,8 +547,9 @@ def _collect(prepared: Project) -> tuple[list[Verdict], bool, list[str]]:
         return recorded(path), False, []
     # figures and report belong to one dataset: without a report they are drawn again
     (prepared.folder / REPORT_FILE).unlink(missing_ok=True)
-    damaged = collect(study, plan, prepared.store, prepared.scene_of, verdicts, path, digest)
-    return verdicts if damaged else recorded(path), True, damaged
+    store, scene_of = prepared.store, prepared.scene_of
+    judged, damaged = collect(study, plan, store, scene_of, verdicts, path, digest)
+    return verdicts if damaged else judged, True, damaged
 
 
 def _digest(prepared: Project, verdicts: list[Verdict]) -> str:

@@ -38,7 +38,7 @@ def collect(
     verdicts: Sequence[Verdict],
     path: Path,
     digest: str,
-) -> list[str]:
+) -> tuple[list[Verdict], list[str]]:
     """Write the dataset of a study.
 
     Parameters
@@ -51,9 +51,10 @@ def collect(
 
     Returns
     -------
-    Messages about products that are damaged. They were set aside, nothing was written
-    then: run again.
+    How each case ended by its numbers too, and messages about products that are damaged. They were
+    set aside, nothing was written then: run again.
     """
+    judged: list[Verdict] = []
     source = Source(plan, store)
     each = _bytes_of_a_case(plan, store, verdicts)
 
@@ -64,14 +65,14 @@ def collect(
             for case in tile.cases:
                 if verdicts[case].status in (Status.DONE, Status.STOPPED):
                     writer.add(case, source.result(case))
-                writer.end_case(case, verdicts[case], source.spent(case))
+                judged.append(writer.end_case(case, verdicts[case], source.spent(case)))
             writer.flush()
         writer.summarise()
         writer.describe(plan, digest, source.origins)
         return not source.damaged
 
     make_dataset(path, fill)
-    return source.damaged
+    return judged, source.damaged
 
 
 def _bytes_of_a_case(plan: Plan, store: Store, verdicts: Sequence[Verdict]) -> int:

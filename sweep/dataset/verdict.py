@@ -14,7 +14,7 @@ from demflow.sweep.plan.graph import Plan
 from demflow.sweep.store.products import DamagedError, MissingError, Store
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Verdict:
     """How a case ended."""
 

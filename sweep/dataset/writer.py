@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any
@@ -46,8 +46,7 @@ class Writer:
     labels: Labels
     stages: tuple[str, ...]  # those that some case runs
     blocks: dict[str, np.ndarray] = field(default_factory=dict)  # variable -> (cases of tile, …)
-    # names of the numbers that each case of the tile has
-    recorded: dict[int, set[str]] = field(default_factory=dict)
+    added: tuple[int, Set[str]] = (-1, frozenset())  # the last case with numbers, and their names
 
     def __post_init__(self) -> None:
         self.ragged = Ragged(self.file, tuple(axis.name for axis in self.study.axes))
@@ -75,11 +74,10 @@ class Writer:
         self.status = np.zeros(len(tile.cases), dtype=np.int8)
         self.message = _blank((len(tile.cases),))
         self.blocks = {}
-        self.recorded = {}
 
     def add(self, case: int, arrays: Mapping[str, np.ndarray]) -> None:
         """Take the numbers of one case."""
-        self.recorded[case] = set(arrays)
+        self.added = case, arrays.keys()
         for name, array in arrays.items():
             if name == STOPPED:
                 continue  # it is the case's message
@@ -93,8 +91,8 @@ class Writer:
             where = self._where(name, int(self.labels.layout_of[case]))
             _place(target, np.asarray(array, dtype=float), where)
 
-    def end_case(self, case: int, ended: Verdict, spent: Mapping[str, np.ndarray]) -> None:
-        """Take how a case ended, and the times that it took.
+    def end_case(self, case: int, ended: Verdict, spent: Mapping[str, np.ndarray]) -> Verdict:
+        """Take how a case ended, and the times that it took; how it ended by its numbers too.
 
         Parameters
         ----------
@@ -109,12 +107,13 @@ class Writer:
         for name, seconds in spent.items():
             if name in self.file.variables:
                 self._block(name, SWEEP[name])[k] = seconds
+        return ended
 
     def _beyond(self, case: int) -> list[str]:
         """What of the numbers of a case is beyond the bounds of a good result."""
         expected = self.study.expectation(self._index(case))
         k = case - self.tile.cases.start
-        has = self.recorded.get(case, ())
+        has = self.added[1] if case == self.added[0] else ()
         met = {name: float(self.blocks[name][k]) for name in JUDGED if name in has}
         return beyond_bounds(expected, met)
 

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import ctypes
 import resource
 import sys
+from contextlib import suppress
 
 import psutil
 
 from demflow.model.memory import CGROUP, available
 
-__all__ = ["available", "machine_memory", "peak_memory", "resident_memory"]
+__all__ = ["available", "give_back", "machine_memory", "peak_memory", "resident_memory"]
 
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # what getrusage counts in
 
@@ -32,3 +34,10 @@ def resident_memory() -> int:
 def peak_memory() -> int:
     """Largest resident memory of this process so far."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _RSS_UNIT
+
+
+def give_back() -> None:
+    """Return to the system what this process holds no longer."""
+    if sys.platform == "linux":
+        with suppress(AttributeError):  # another C library than that of GNU
+            ctypes.CDLL(None).malloc_trim(0)

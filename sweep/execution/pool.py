@@ -19,6 +19,8 @@ from typing import Any
 
 from distributed import Client, Future, KilledWorker
 
+from demflow.sweep.execution.memory import give_back
+
 CLOSING_SECONDS = 5.0  # s for a scheduler to take leave
 
 _LOOPS = (
@@ -41,6 +43,7 @@ def silent_loops() -> Iterator[None]:
         yield
     finally:
         gc.collect()  # tasks that ended with an error report it when they go
+        give_back()
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
 

@@ -25,7 +25,7 @@ LOT_SECONDS = 0.15  # a lot of short runs lasts at least about this long
 LONGEST_SECONDS = 2.0  # and at most so long, while much is left
 SHARES = 8  # lots that what is left for a worker makes between these two
 WORTH_SECONDS = 5.0  # of work for which one more worker is worth while
-LOT_LENGTH = 256  # and holds no more runs than this
+LOT_LENGTH = 128  # and holds no more runs than this
 
 
 class State(IntEnum):

@@ -33,7 +33,7 @@ from demflow.model.outcome import ModelError, OutOfMemory, Status
 from demflow.model.parameters import SceneError
 from demflow.model.products import build, named
 from demflow.model.quantities import STOPPED
-from demflow.sweep.execution.memory import available, peak_memory, resident_memory
+from demflow.sweep.execution.memory import available, give_back, peak_memory, resident_memory
 from demflow.sweep.plan.graph import stage_table
 from demflow.sweep.store.products import (
     DamagedError,
@@ -53,6 +53,7 @@ COMPILING = "demflow-compiling"  # topic under which workers tell that they comp
 KEEP_SECONDS = 0.2  # s of finished work that may be lost with a worker
 SHORT = 0.99  # share of a limit of memory below which less than the limit was there
 CACHE_BYTES = 256_000_000  # products kept in a worker's memory for the next stage
+SMALL_BYTES = 1_000_000  # that each counts as at least: a small one is read as soon
 
 
 class Task(NamedTuple):
@@ -196,8 +197,7 @@ class _Made:
     def __init__(self, store: str | None, parents: Mapping[str, bytes]):
         self.store = Store(Path(store)) if store is not None else None
         self.parents = parents
-        self.files: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity
-        self._kept: set[str] = set()
+        self.files: dict[str, tuple[str, bytes]] = {}  # kind and file, by identity; none stored
 
     def get(self, identity: str) -> Stored:
         """Return a product. Raises MissingError, DamagedError."""
@@ -217,10 +217,9 @@ class _Made:
 
     def keep(self) -> None:
         """Store what was made since the last time. Raises OSError."""
-        fresh = {i: file for i, file in self.files.items() if i not in self._kept}
-        if self.store is not None and fresh:
-            self.store.keep(fresh)
-            self._kept.update(fresh)
+        if self.store is not None:
+            self.store.keep(self.files)
+            self.files.clear()
 
 
 def _run(task: Task, stages: Mapping[str, Stage], made: _Made, limit: float | None) -> Outcome:
@@ -292,7 +291,9 @@ def _working_time() -> tuple[float, float]:
 
 # the products that this process used last
 _memory: LRU[str, Mapping[str, np.ndarray]] = LRU(
-    CACHE_BYTES, {}, weight=lambda _, arrays: sum(array.nbytes for array in arrays.values())
+    CACHE_BYTES,
+    {},
+    weight=lambda _, arrays: max(SMALL_BYTES, sum(array.nbytes for array in arrays.values())),
 )
 
 
@@ -300,9 +301,7 @@ def _forget() -> bool:
     """Give back the memory of products that are kept; return whether there were any."""
     some = bool(_memory)
     _memory.clear()
-    if sys.platform == "linux":
-        with suppress(AttributeError):  # another C library than that of GNU
-            ctypes.CDLL(None).malloc_trim(0)
+    give_back()
     return some
 
 

@@ -36,7 +36,7 @@ verdicts = prepared.verdicts()
 begin = time.perf_counter()
 path = prepared.folder / "again.nc"
 args = (prepared.study, prepared.plan, prepared.store, prepared.scene_of, verdicts, path, "")
-assert collect(*args) == []
+assert collect(*args) == (verdicts, [])
 seconds = time.perf_counter() - begin
 print(json.dumps([seconds, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024]))
 """

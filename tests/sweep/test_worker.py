@@ -132,16 +132,19 @@ def test_a_store_that_cannot_be_written_is_no_failure_of_the_stage(store, monkey
 
 def test_memory_is_bounded_and_keeps_what_was_used_last(monkeypatch):
     worker._memory.clear()
-    monkeypatch.setattr(worker._memory, "n", 240)
+    most = 3 * worker.SMALL_BYTES
+    monkeypatch.setattr(worker._memory, "n", most)
     memory = worker._memory
     for name in "abc":
         memory[name] = {"x": np.zeros(10)}
     assert memory["a"] is not None
     memory["d"] = {"x": np.zeros(10)}
     assert sorted(memory) == ["a", "c", "d"]
-    memory["large"] = {"x": np.zeros(100)}
+    memory["large"] = {"x": np.zeros(most // 8 + 1)}
     assert "large" not in memory
-    assert memory.total_weight == 240
+    assert memory.total_weight == most  # of few bytes each
+    memory["half"] = {"x": np.zeros(most // 16)}
+    assert sorted(memory) == ["d", "half"]
 
 
 def test_parents_that_went_out_of_memory_come_from_what_came_with_the_lot(store, monkeypatch):

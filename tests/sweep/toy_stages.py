@@ -32,7 +32,7 @@ NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
 COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.5
 LONG, LONG_SECONDS = 1e5, 0.6  # rates from which on a flow takes longer than the others
 ANSWERS_SLOWLY, DIES_ANSWERING, ANSWER_SECONDS = -12.0, -13.0, 1.0
-FORGETS, LITTLE_MEMORY = -14.0, 410  # bytes: a packing of 50 grains, but no stress beside it
+FORGETS, LITTLE_MEMORY = -14.0, 1_500_000  # bytes: a packing, but no stress beside it
 DIARY = "DEMFLOW_TOY_DIARY"  # of the environment: the file of what was executed
 
 
