@@ -27,7 +27,7 @@ from demflow.sweep.execution.limits import Judge, Verdict
 from demflow.sweep.execution.local import LocalPool
 from demflow.sweep.execution.lots import Lots
 from demflow.sweep.execution.pool import NoAnswerError, Pool, silent_loops
-from demflow.sweep.execution.progress import Progress, StageProgress
+from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
 from demflow.sweep.execution.signals import kept_from_children, signals_noted
 from demflow.sweep.execution.worker import COMPILING, Outcome, introduce, run_lot
@@ -46,7 +46,6 @@ UNFIT_SECONDS = 60.0  # s for which workers that cannot be used are all there ar
 GREETING_SECONDS = 120.0  # s for a worker to import the stages and answer its greeting
 COMPILING_SECONDS = 600.0  # s after which a compilation that did not end counts as the case's time
 VERDICT_SECONDS = 0.3  # by which a nanny may be later than the scheduler with such news
-GONE = ("lost", "cancelled")  # of what was sent to a worker, as Dask says it
 START_SECONDS = 1.0  # s for which work has to wait for a further worker, about what one costs
 HEARD_SECONDS = 20.0  # s that the first stage run waits for other workers to be heard
 DEAD_SECONDS = 30.0  # s after which an address whose worker died counts as that of another
@@ -310,14 +309,8 @@ class _Execution:
         files = await self.lots.files(worker.address, lot)
         if isinstance(files, Outcome):
             return [files]
-        answer = asyncio.ensure_future(self.pool.call(worker.address, run_lot, lot, files))
         try:
-            # Dask never starts what waits for a parent that died with the worker that held it
-            while not (await asyncio.wait({answer}, timeout=self.pool.look_every))[0]:
-                if any(sent.status in GONE for sent in files.values()):
-                    self.lots.forget()
-                    return []  # its runs wait again
-            found: list[Outcome] = await answer
+            found: list[Outcome] = await self.pool.call(worker.address, run_lot, lot, files)
             return found
         except NoAnswerError:
             raise
@@ -329,8 +322,6 @@ class _Execution:
         except Exception as error:
             told = f"{type(error).__name__}: {error}".splitlines()[0]
             raise RunError(f"the worker {worker.address} broke: {told}") from error
-        finally:
-            answer.cancel()
 
     def _settle(self, worker: _Worker, runs: tuple[int, ...], answer: list[Outcome]) -> None:
         """Enter what a worker has answered; what it left out of its lot waits again."""
@@ -510,7 +501,7 @@ class _Execution:
             workers=sum(worker.ready for worker in workers),
             deaths=self.report.deaths,
             ending=self.ending,
-            stages=tuple(StageProgress(*one) for one in self.schedule.stages()),
+            stages=self.schedule.stages(),
         )
 
 

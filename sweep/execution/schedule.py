@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterable
-from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from demflow.sweep.execution.progress import StageProgress
 from demflow.sweep.plan.graph import Plan
 from demflow.sweep.plan.runs import CostClass
 from demflow.sweep.store.costs import Costs
@@ -28,19 +28,8 @@ WORTH_SECONDS = 5.0  # of work for which one more worker is worth while
 LOT_LENGTH = 128  # and holds no more runs than this
 
 
-class State(IntEnum):
-    """Where a run stands."""
-
-    WAITING = 0  # for its parents
-    READY = 1
-    RUNNING = 2
-    DONE = 3
-    FAILED = 4
-    BLOCKED = 5  # a run that it needs has failed
-
-
-# numbers: to ask an enumeration, or to compare numpy's numbers with its members, is slow
-WAITING, READY, RUNNING, DONE, FAILED, BLOCKED = map(int, State)
+# Where a run stands; blocked: one that it needs has failed. To ask an enumeration is slow.
+WAITING, READY, RUNNING, DONE, FAILED, BLOCKED = range(6)
 
 
 class Tally(NamedTuple):
@@ -228,11 +217,11 @@ class Schedule:
         failed, waiting = int(np.count_nonzero(bad)), int(np.count_nonzero(left))
         return Tally(self.plan.count - failed - waiting, failed, waiting)
 
-    def stages(self) -> list[tuple[str, int, int]]:
-        """Of each stage of the plan its name, how many runs are stored and how many there are."""
+    def stages(self) -> tuple[StageProgress, ...]:
+        """How far each stage of the plan is."""
         stored = np.bincount(self._stage[self.state == DONE], minlength=len(self.plan.stages))
         numbers = zip(self.plan.stages, stored.tolist(), self._of_stages, strict=True)
-        return [(stage.name, done, count) for stage, done, count in numbers if count]
+        return tuple(StageProgress(one.name, done, count) for one, done, count in numbers if count)
 
     def _settle(self, runs: Iterable[int]) -> None:
         """Make ready what has all its parents."""

@@ -36,7 +36,7 @@ from demflow.sweep.execution.ledger import Executed, Ledger
 from demflow.sweep.execution.limits import Verdict
 from demflow.sweep.execution.lots import Lots
 from demflow.sweep.execution.pool import Pool
-from demflow.sweep.execution.schedule import Schedule, State
+from demflow.sweep.execution.schedule import FAILED, Schedule
 from demflow.sweep.execution.worker import run_lot
 from demflow.sweep.figures import style, write_figures
 from demflow.sweep.report import write_report
@@ -125,7 +125,7 @@ def execute_here(
     lots = Lots(schedule.plan, store, scene_of, table, mock.Mock(spec=Pool, shares_store=True))
     while runs := schedule.next_lot():
         for run in runs:  # each by itself, so that it is known which one takes too long
-            if schedule.state[run] >= State.FAILED:
+            if schedule.state[run] >= FAILED:
                 continue
             signal.setitimer(signal.ITIMER_PROF, LONGEST)
             try:

@@ -8,12 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from demflow.sweep.execution.schedule import (
+    BLOCKED,
+    DONE,
+    FAILED,
     LONGEST_SECONDS,
     LOT_SECONDS,
+    RUNNING,
     SHARES,
     WORTH_SECONDS,
     Schedule,
-    State,
 )
 from demflow.sweep.plan.graph import Plan, stage_table
 from demflow.sweep.plan.runs import CostClass, StageRun
@@ -118,7 +121,7 @@ def test_whatever_happens_every_run_ends_once(packs, flows, observers, data):
         if schedule.suspects.intersection(lot):
             assert len(lot) == 1
         for run in lot:
-            if schedule.state[run] != State.RUNNING:
+            if schedule.state[run] != RUNNING:
                 continue  # a run before it has failed
             if run in killer:
                 if len(lot) == 1:
@@ -135,19 +138,19 @@ def test_whatever_happens_every_run_ends_once(packs, flows, observers, data):
         schedule.again(lot)
     assert schedule.pending == 0
     state = schedule.state
-    blocked = {run for run in range(count) if state[run] == State.BLOCKED}
+    blocked = {run for run in range(count) if state[run] == BLOCKED}
     assert sorted([*ended, *blocked]) == sorted(set(range(count)) - stored)
-    assert {r for r in range(count) if state[r] == State.FAILED} <= poison | killer
+    assert {r for r in range(count) if state[r] == FAILED} <= poison | killer
     for run, entry in enumerate(plan.runs):
-        bad = any(p >= 0 and state[p] in (State.FAILED, State.BLOCKED) for p in entry.parents)
-        assert (state[run] == State.BLOCKED) == (bad and run not in stored)
-    good = np.count_nonzero((state[plan.cases] == State.DONE).all(axis=1))
+        bad = any(p >= 0 and state[p] in (FAILED, BLOCKED) for p in entry.parents)
+        assert (state[run] == BLOCKED) == (bad and run not in stored)
+    good = np.count_nonzero((state[plan.cases] == DONE).all(axis=1))
     assert schedule.tally() == (good, len(plan.cases) - good, 0)
     of_stages = schedule.stages()
     assert sum(runs for _, _, runs in of_stages) == count
     for name, done, runs in of_stages:
         own = [k for k, run in enumerate(plan.runs) if plan.stages[run.stage].name == name]
-        assert (done, runs) == (np.count_nonzero(state[own] == State.DONE), len(own))
+        assert (done, runs) == (np.count_nonzero(state[own] == DONE), len(own))
 
 
 def test_suspects_go_by_themselves_and_before_all_others():
@@ -193,7 +196,7 @@ def test_a_lost_product_is_computed_again_before_its_children():
 
 def test_known_failures_block_their_descendants_at_once():
     schedule = fresh(tree(2, 1, 2), failed=(1,))
-    assert [State(s).name for s in schedule.state[1:4]] == ["FAILED", "BLOCKED", "BLOCKED"]
+    assert schedule.state[1:4].tolist() == [FAILED, BLOCKED, BLOCKED]
     assert schedule.tally().failed == 2
     assert 1 not in {run for lot in drain(schedule, 1.0) for run in lot}
 
