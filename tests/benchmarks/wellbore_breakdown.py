@@ -30,9 +30,9 @@ without friction, under the least stress, and only what drilling and the larger 
 bonds, so that hardly a contact breaks as the hole is drilled. What sets in free grains has to bear
 more, and stresses guide a fracture the less, the more T is above their difference: with cement of
 twice each state's largest stress, set in free grains, voids and gaps left open, ten packings gave
-0.88, 0.83, 1.49 and 1.31, and one of them was 45° off at 2:1. The recipe was chosen on packings 1 to
-10; on 11 to 20, not seen before, it gave 0.96, 0.86, 1.42 and 1.20, 8° and at most 17° off at 2:1, 9°
-at 3:1, and one to five contacts broke before in three of 50 runs.
+0.88, 0.83, 1.49 and 1.31, and one of them was 45° off at 2:1. The recipe was chosen on packings 1
+to 10; on 11 to 20, not seen before, it gave 0.96, 0.86, 1.42 and 1.20, 8° and at most 17° off at
+2:1, 9° at 3:1, and one to five contacts broke before in three of 50 runs.
 
 The fracture's direction is read once it has run as far into the rock as the hole is wide: the
 principal axis through the hole of the contacts that injection broke, weighed by their widths, off
