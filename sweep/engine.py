@@ -102,6 +102,7 @@ def run_study(
     tell: Callable[[str], None] | None = None,
     figures: bool = True,
     table: str = MODEL,
+    since: float | None = None,
 ) -> Finished:
     """Run what is missing of a study, collect its dataset and draw its figures.
 
@@ -119,6 +120,8 @@ def run_study(
     tell : called with what a user should know before anything is run.
     figures : whether to draw figures and write the report.
     table : where the table of stages lies, as `module:name`.
+    since : when the program began that does nothing else, s since the epoch; how long it took to
+        get here counts in forecasts.
 
     Raises
     ------
@@ -127,7 +130,7 @@ def run_study(
     KeyboardInterrupt after Ctrl-C: the first lets what runs end and collects the dataset of what
     is finished, the second stops at once.
     """
-    begin = time.perf_counter()
+    begin = time.perf_counter() - (0.0 if since is None else max(time.time() - since, 0.0))
     if workers < 1:
         raise ValueError(f"workers is {workers}; at least one is needed")
     if getattr(multiprocessing.current_process(), "_inheriting", False):
@@ -496,7 +499,7 @@ def _note(prepared: Project, took: dict[str, float]) -> None:
     """Keep what parts of a run took that come once, s, for forecasts."""
     costs = prepared.costs()
     for part, seconds in took.items():
-        setattr(costs, part, seconds)
+        costs.note(part, seconds)
     with suppress(OSError):
         prepared.keep(costs)
 

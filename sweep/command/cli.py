@@ -50,8 +50,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     ready()
     options = parser().parse_args(arguments)
-    if arguments is None and options.command in (figures, report):
-        # a program of its own, without an array of Dask's: xarray would import what knows these,
+    options.alone = arguments is None  # a program that does nothing else
+    if options.alone and options.command in (figures, report):
+        # without an array of Dask's: xarray would import what knows these,
         # which is a tenth of the time
         sys.modules.setdefault("dask.array", None)  # type: ignore[arg-type]
     thresholds = gc.get_threshold()

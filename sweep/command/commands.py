@@ -26,6 +26,7 @@ def run(options: argparse.Namespace) -> int:
     """Run what is missing, collect the dataset, draw the figures."""
     from demflow.sweep.command.progress_line import ProgressLine
     from demflow.sweep.engine import run_study
+    from demflow.sweep.execution.memory import began
 
     line = ProgressLine()
     try:
@@ -39,6 +40,7 @@ def run(options: argparse.Namespace) -> int:
             smoke=options.smoke,
             progress=line,
             tell=say,
+            since=began() if options.alone else None,
         )
     finally:
         line.close()

@@ -6,6 +6,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from heapq import heappop, heappush
 from pathlib import Path
 from typing import Any
 
@@ -126,19 +127,31 @@ def _short_of(least: dict[str, float], worker: float, limits: Limits, store: Pat
 def _elapsed(
     plan: Plan, left: np.ndarray, seconds: dict[CostClass, float | None], workers: int
 ) -> float:
-    """Seconds of all runs that are left: shared by the workers, or one after the other.
+    """Seconds until the last of the runs that are left has ended.
 
-    However many workers there are, a run cannot begin before its parents have ended. What is
-    not known counts as nothing.
+    Whichever worker is free takes the first one whose parents have ended. What is not known counts
+    as nothing.
     """
-    total, longest = 0.0, 0.0
-    end: dict[int, float] = {}
+    children: dict[int, list[int]] = {}
+    parents: dict[int, int] = {}  # how many of each run have still to end
     for k in np.flatnonzero(left).tolist():
-        own = seconds[plan.runs[k].kind] or 0.0
-        end[k] = own + max((end.get(p, 0.0) for p in plan.runs[k].parents), default=0.0)
-        total += own
-        longest = max(longest, end[k])
-    return max(total / workers, longest)
+        awaited = {p for p in plan.runs[k].parents if p in parents}
+        parents[k] = len(awaited)
+        for parent in awaited:
+            children.setdefault(parent, []).append(k)
+    ready = [k for k, count in parents.items() if count == 0]  # sorted, as a heap is
+    running: list[tuple[float, int]] = []
+    now = 0.0
+    while ready or running:
+        while ready and len(running) < workers:
+            k = heappop(ready)
+            heappush(running, (now + (seconds[plan.runs[k].kind] or 0.0), k))
+        now, ended = heappop(running)
+        for child in children.get(ended, ()):
+            parents[child] -= 1
+            if parents[child] == 0:
+                heappush(ready, child)
+    return now
 
 
 def _times(count: int, each: float | None) -> float | None:

@@ -1,4 +1,4 @@
-"""Memory of this machine and of this process, bytes."""
+"""Memory of this machine and of this process, bytes, and since when that runs."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import psutil
 
 from demflow.model.memory import CGROUP, available
 
-__all__ = ["available", "give_back", "machine_memory", "peak_memory", "resident_memory"]
+__all__ = ["available", "began", "give_back", "machine_memory", "peak_memory", "resident_memory"]
 
 _RSS_UNIT = 1 if sys.platform == "darwin" else 1024  # what getrusage counts in
 
@@ -41,3 +41,8 @@ def give_back() -> None:
     if sys.platform == "linux":
         with suppress(AttributeError):  # another C library than that of GNU
             ctypes.CDLL(None).malloc_trim(0)
+
+
+def began() -> float:
+    """When this process began, s since the epoch."""
+    return float(psutil.Process().create_time())

@@ -108,6 +108,7 @@ class Costs:
         self.start: float | None = None  # s until the workers of a run stood, the last time
         self.drawing: float | None = None  # s that figures and report took, the last time
         self.leading: float | None = None  # s of a run besides: planning, collecting, the last time
+        self._noted: set[str] = set()  # which of these are of this run
         self.main: int = 0  # memory of the process that leads a run, bytes: the least one seen
 
     @classmethod
@@ -144,7 +145,11 @@ class Costs:
         self.main = main or self.main
 
     def write(self, store: Store, *, everywhere: bool = False) -> None:
-        """Keep the totals for the next run; raises OSError where the store cannot be written."""
+        """Keep the totals for the next run; raises OSError where the store cannot be written.
+
+        What a study took that is drawn or led once says little of another one: for those to come
+        the mean of what was known and of the last one is kept.
+        """
         record = {
             "machine": machine(),
             **{name: getattr(self, name) for name in ONCE},
@@ -160,6 +165,9 @@ class Costs:
                     key: others.known.get(key, {}) | self.known.get(key, {})
                     for key in others.known | self.known
                 }
+                for part in self._noted:
+                    if (before := getattr(others, part)) is not None:
+                        record[part] = 0.5 * (before + record[part])
                 write_durably(machine_file(), json.dumps(record, indent=1).encode())
 
     def add(
@@ -187,6 +195,11 @@ class Costs:
             kind, seconds, stored, memory, compiled, loading
         )
 
+    def note(self, part: str, seconds: float) -> None:
+        """Note what a part of this run took that comes once, s; one of `ONCE`."""
+        setattr(self, part, seconds)
+        self._noted.add(part)
+
     def led(self, memory: int) -> None:
         """Note the memory of a process that led a run, bytes."""
         self.main = min(self.main or memory, memory)
@@ -194,7 +207,7 @@ class Costs:
     def seconds(self, kind: CostClass) -> float | None:
         """Expected seconds of a run, None if its stage was never run."""
         times = {step: spent.typical for step, spent in self._sizes(kind).items()}
-        return scaled(times, self._sizes(kind), kind.step)
+        return scaled(times, self._sizes(kind), kind.step, beyond=GROWTH)
 
     def loading(self, kinds: Iterable[CostClass]) -> float:
         """Expected seconds in which a process loads the compiled code of some stages, each once."""
@@ -248,7 +261,9 @@ def _seconds(told: Any) -> float | None:
     return None if told is None or not 0.0 <= float(told) < math.inf else float(told)
 
 
-def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float | None:
+def scaled(
+    values: dict[int, float], seen: dict[int, Spent], step: int, *, beyond: float = 0.0
+) -> float | None:
     """The value at a size: as measured there, else by a power law through the nearest size.
 
     Parameters
@@ -256,6 +271,8 @@ def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float
     values : positive values by size (steps of ln size).
     seen : how often each size was seen.
     step : the size that is asked for.
+    beyond : least exponent above all sizes that were seen: what small ones take that does not grow
+        hides how the rest of it does.
     """
     if not values:
         return None
@@ -265,7 +282,10 @@ def scaled(values: dict[int, float], seen: dict[int, Spent], step: int) -> float
     often = {size: value for size, value in values.items() if seen[size].runs >= OUTLIERS}
     values = often or values
     near = _nearest(values, step)
-    return values[near] * math.exp(exponent(values, seen) * SIZE_STEP * (step - near))
+    growth = exponent(values, seen)
+    if step > max(values):
+        growth = max(growth, beyond)
+    return values[near] * math.exp(growth * SIZE_STEP * (step - near))
 
 
 def exponent(values: dict[int, float], seen: dict[int, Spent]) -> float:

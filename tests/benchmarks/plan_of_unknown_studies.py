@@ -11,9 +11,11 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from pathlib import Path
 from unittest import mock
 
+from demflow.sweep.store.costs import machine_file
 from tests import cache
 from tests.benchmarks.ran import STUDIES, results_folder
 from tests.benchmarks.result import Result
@@ -47,14 +49,16 @@ def foretold(name: str, folder: Path) -> tuple[str, dict[str, float]]:
     """What is foretold of a study over what it took, and both in words.
 
     Each is foretold by the same three studies alone, and noted by itself: its run finds no notes
-    of others, among which its own would not be told apart.
+    of others, among which its own would not be told apart. What else a user's cache holds it finds.
     """
     results = folder / name
     study = str(STUDIES / f"{name}.yaml")
     told = json.loads(
         timed_command("plan", study, "--results", str(results), *_workers(), "--json")[1]
     )
-    with mock.patch.dict(os.environ, cache.variables(folder / f"{name}-notes")):
+    own = folder / f"{name}-notes"
+    shutil.copytree(os.environ["XDG_CACHE_HOME"], own, ignore=lambda *_: [machine_file().name])
+    with mock.patch.dict(os.environ, cache.variables(own)):
         took = _run(name, results)
     costs = json.loads((results / "store" / "costs.json").read_text())
     worker = max(

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from collections import defaultdict
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from hypothesis import strategies as st
 from demflow.model.amounts import held_by_flow, kept_by_flow
 from demflow.model.scene import Circle, Fluid, Grains, Matrix, Scene, Solver, Trace, Well
 from demflow.model.stages import STAGES, grain_count
-from demflow.sweep.command.forecast import forecast
+from demflow.sweep.command.forecast import _elapsed, forecast
 from demflow.sweep.engine import run_study
 from demflow.sweep.execution.memory import peak_memory
 from demflow.sweep.plan.graph import make_plan, stage_table
@@ -74,6 +75,55 @@ def test_one_size_grows_in_proportion():
     costs.add(kind(1000), 2.0, 10)
     assert costs.seconds(kind(3000)) == pytest.approx(6.0, rel=0.1)
     assert costs.stored(kind(500)) == pytest.approx(5.0, rel=0.1)
+
+
+def test_what_small_runs_take_that_does_not_grow_hides_no_growth():
+    """Above all that was seen; below it the smallest tell how little of it grows."""
+    costs = measured(lambda n: 0.1 + 1e-4 * n, (100, 300, 900))
+    for n in (3000, 9000):
+        exact = 0.1 + 1e-4 * n
+        assert exact / 1.1 < costs.seconds(kind(n)) < 1.1 * costs.seconds(kind(900)) * n / 900
+    assert costs.seconds(kind(30)) > 0.06
+
+
+@given(st.integers(1, 4), st.integers(0, 10**6))
+def test_no_worker_waits_while_a_run_is_ready(workers, seed):
+    """So that what waits for others is all that is lost (Graham 1969, SIAM J. Appl. Math. 17)."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(1, 25))
+    seconds = {k: float(rng.integers(0, 5)) for k in range(count)}
+    parents = [
+        tuple({int(p) for p in rng.integers(-1, k, rng.integers(0, 3))}) for k in range(count)
+    ]
+    left = rng.random(count) < 0.8
+    plan = SimpleNamespace(
+        runs=[SimpleNamespace(kind=k, parents=of) for k, of in enumerate(parents)]
+    )
+    end = {}
+    for k in np.flatnonzero(left).tolist():
+        end[k] = seconds[k] + max((end.get(p, 0.0) for p in parents[k]), default=0.0)
+    longest, total = max(end.values(), default=0.0), sum(seconds[k] for k in end)
+    found = _elapsed(plan, left, seconds, workers)
+    assert max(longest, total / workers) <= found <= total / workers + longest
+    if workers == 1:
+        assert found == total
+
+
+def test_three_alike_take_two_workers_two_rounds():
+    plan = SimpleNamespace(runs=[SimpleNamespace(kind="any", parents=(-1,))] * 3)
+    assert _elapsed(plan, np.ones(3, dtype=bool), {"any": 2.0}, 2) == 4.0
+
+
+def test_other_studies_are_led_and_drawn_as_those_before_on_the_whole(tmp_path, monkeypatch):
+    """The last one counts half; its own folder goes by itself alone."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for seconds in (1.0, 3.0):
+        store = Store.open(tmp_path / str(seconds) / "store")
+        costs = Costs.read(store, everywhere=True)
+        costs.note("drawing", seconds)
+        costs.write(store, everywhere=True)
+        assert Costs.read(store, everywhere=True).drawing == seconds
+    assert Costs.read(Store.open(tmp_path / "new" / "store"), everywhere=True).drawing == 2.0
 
 
 @given(
