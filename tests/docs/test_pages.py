@@ -10,9 +10,11 @@ import shlex
 import shutil
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ import yaml
 
 import demflow
 from demflow.model import quantities
+from demflow.model.mechanics.packing import packing
 from demflow.sweep.command import cli
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import KEYS, load_study
@@ -92,7 +95,15 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.fixture(scope="module")
+def packed_once():
+    """Most blocks are about the same rock, or one of the same grains."""
+    with mock.patch.object(packing, "pack", cache(packing.pack)):
+        yield
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("packed_once")
 @pytest.mark.parametrize("text", _named(PAGES, "yaml"))
 def test_blocks_of_studies_are_valid_and_run(text, folder, capsys):
     """Each is checked, and its first case run; what has no scene is fitted."""
