@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import psutil
 import pytest
 
 from demflow.model.outcome import Status
 from demflow.sweep import prepared
-from demflow.sweep.execution import limits
+from demflow.sweep.execution import limits, memory
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.prepared import may_pass
 from demflow.sweep.study.load import Limits
@@ -19,6 +20,15 @@ def test_workers_share_the_machine_unless_the_study_says_otherwise(monkeypatch):
     assert in_force(Limits(), 1000).memory == limits.LEAST
     assert in_force(Limits(memory=3e9), 2) == Limits(memory=3e9)
     assert in_force(Limits(), None) == Limits()
+
+
+def test_a_control_group_bounds_what_the_machine_has(monkeypatch, tmp_path):
+    monkeypatch.setattr(memory, "CGROUP", tmp_path)
+    whole = psutil.virtual_memory().total
+    assert memory.machine_memory() == whole
+    for told, bound in (("1000000\n", 1e6), ("max\n", whole)):
+        (tmp_path / "memory.max").write_text(told)
+        assert memory.machine_memory() == bound
 
 
 @pytest.mark.parametrize(
