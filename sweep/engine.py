@@ -472,10 +472,10 @@ def _execute(
         return None
     if how.scheduler is None:
         certificate.begin()
-    # Dask is imported only where something must run
-    from demflow.sweep.execution.loop import execute
-
     try:
+        # Dask is imported only where something must run
+        from demflow.sweep.execution.loop import execute
+
         return execute(
             schedule,
             store,
@@ -488,6 +488,7 @@ def _execute(
             anew=how.force,
         )
     finally:
+        certificate.forget()
         if how.scheduler is not None:
             costs.start = start  # of workers of this machine
         costs.led(peak_memory())

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from datetime import UTC, datetime, timedelta
 from multiprocessing.spawn import get_executable
-from subprocess import PIPE, STDOUT, Popen, TimeoutExpired
+from subprocess import PIPE, Popen, TimeoutExpired
 
 DAYS = 3650  # no run takes longer
 MAKING_SECONDS = 60.0  # after which a certificate comes no more
@@ -21,7 +21,7 @@ def begin() -> None:
     if not _begun:
         program = [get_executable(), "-P", __file__, *sys.path]
         # in a group of its own, where it hears no Ctrl-C
-        _begun.append(Popen(program, stdout=PIPE, stderr=STDOUT, text=True, process_group=0))
+        _begun.append(Popen(program, stdout=PIPE, stderr=PIPE, text=True, process_group=0))
 
 
 def made() -> tuple[str, str]:
@@ -31,15 +31,22 @@ def made() -> tuple[str, str]:
     begin()
     making = _begun.pop()
     try:
-        told, _ = making.communicate(timeout=MAKING_SECONDS)
+        told, why = making.communicate(timeout=MAKING_SECONDS)
     except TimeoutExpired:
         making.kill()
-        told, _ = making.communicate()
+        told, why = making.communicate()
     if making.returncode:
-        why = told.strip() or f"its process ended with status {making.returncode}"
+        why = why.strip() or f"its process ended with status {making.returncode}"
         raise RunError(f"no certificate could be made for the workers: {why}")
     certificate, key = told.split("\0")
     return certificate, key
+
+
+def forget() -> None:
+    """End a process whose certificate nobody asked for."""
+    while _begun:
+        with _begun.pop() as making:
+            making.kill()
 
 
 def _make() -> tuple[str, str]:

@@ -135,6 +135,22 @@ def test_every_run_has_another_certificate_and_loads_nothing_to_make_it():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_what_its_process_is_warned_of_is_no_part_of_a_certificate(monkeypatch):
+    monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")  # tells on the stream of errors
+    for part in certificate.made():
+        assert part.startswith("-----BEGIN ")
+        assert part.endswith("-----\n")
+
+
+def test_no_process_stays_that_nobody_asks_for_its_certificate():
+    before = set(psutil.Process().children())
+    certificate.begin()
+    assert len(set(psutil.Process().children()) - before) == 1
+    certificate.forget()
+    certificate.forget()
+    assert set(psutil.Process().children()) == before
+
+
 @pytest.mark.parametrize(("program", "status"), [("exit 3", 3), ("exec sleep 60", -9)])
 def test_where_no_certificate_can_be_made_the_run_ends_with_a_word(
     tmp_path, monkeypatch, program, status
