@@ -401,17 +401,13 @@ def test_shapes_are_those_of_the_table():
 
 
 def test_numbers_of_a_case_are_sound():
-    assert products(SCENE)["observe"]["mass_balance_error"] <= 1e-10
-    assert products(SCENE)["observe"]["porosity"] == pytest.approx(0.17, abs=0.02)
-    assert products(SCENE)["observe"]["grain_count"] == pytest.approx(150, rel=0.1)
+    assert seen()["mass_balance_error"] <= 1e-10
+    assert seen()["porosity"] == pytest.approx(0.17, abs=0.02)
+    assert seen()["grain_count"] == pytest.approx(150, rel=0.1)
     assert seen()["domain_count"] == products(SCENE)["network"].inside.sum()
-    np.testing.assert_allclose(
-        products(SCENE)["observe"]["stress_achieved"][:2], [1.2e7, 1e7], rtol=0.02
-    )
-    np.testing.assert_array_equal(
-        products(SCENE)["observe"]["permeability"], products(SCENE)["observe"]["permeability"].T
-    )
-    assert np.all(products(SCENE)["observe"]["well_pressure"] < 7e6 + 1)
+    np.testing.assert_allclose(seen()["stress_achieved"][:2], [1.2e7, 1e7], rtol=0.02)
+    np.testing.assert_array_equal(seen()["permeability"], seen()["permeability"].T)
+    assert np.all(seen()["well_pressure"] < 7e6 + 1)
 
 
 def test_maps_are_named_and_shaped_as_the_table_says():
@@ -452,9 +448,7 @@ def test_the_map_of_a_well_has_the_well_s_pressure():
     assert in_well.any()
     np.testing.assert_allclose(
         maps["pressure"][:, in_well],
-        np.broadcast_to(
-            products(SCENE)["observe"]["well_pressure"][0][:, None], (3, in_well.sum())
-        ),
+        np.broadcast_to(seen()["well_pressure"][0][:, None], (3, in_well.sum())),
     )
 
 

@@ -169,7 +169,7 @@ def empty_answer(problem: Problem) -> Answer:
     )
 
 
-def balanced(value: np.ndarray, drain: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
+def rebalanced(value: np.ndarray, drain: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
     """A solution (n,) whose sum over all equations, the volume balance, holds to round-off.
 
     The errors of a factor lean one way, so that what a march stores would part from what it lets

@@ -24,10 +24,10 @@ from demflow.model.flow.equation.outputs import map_rows
 from demflow.model.flow.equation.problem import (
     Answer,
     Problem,
-    balanced,
     empty_answer,
     fill_map,
     flow_noise,
+    rebalanced,
 )
 from demflow.model.flow.equation.system import System
 from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise, solve
@@ -191,7 +191,7 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
     """Stages of one step of `size` s, whose matrix G + C / (γ h) is factored.
 
     The increments come from differences of stage values, not from f − G p, whose round-off
-    a stiff pore would magnify. Every stage is brought back into balance (`balanced`).
+    a stiff pore would magnify. Every stage is brought back into balance (`rebalanced`).
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
     for i in range(1, len(STAGES)):
         known = state.pressure + STAGES[i, :i] @ increment[:i]
         right = rhs + scaled * known
-        value[i], flow = balanced(solve(factor, right), drain, right)
+        value[i], flow = rebalanced(solve(factor, right), drain, right)
         missing = max(missing, size * abs(flow))
         increment[i] = (value[i] - known) / GAMMA
     return Step(size, value, increment, missing)
