@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.mechanics.contact.grains import Array
-from demflow.model.mechanics.contact.neighbours import JOINED, some_pairs
 from demflow.model.mechanics.loading.stress import path_between
 from demflow.model.mechanics.motion.equilibrium import (
     AT_REST,
@@ -115,7 +114,7 @@ def strength(
         rows = _pull(specimen, test)
     else:
         _hold(specimen, confining, test.confining_stress)
-        _overlap(specimen)
+        records.overlap_of(specimen)
         rows = _press(specimen, test, confining, counted=bool(energy))
     step, stress, axial, lateral, left, right, cracks = np.array(rows).T
     peak = int(np.argmax(stress))
@@ -138,7 +137,7 @@ def strength(
         confinement_held=np.array(int(deviation <= CONFINED * stress[peak])),
         crack_count=np.array(cracks[-1]),
         cracks_at_peak=np.array(cracks[peak]),
-        largest_overlap=np.array(_overlap(specimen)),
+        largest_overlap=np.array(records.overlap_of(specimen)),
         axial_stress=normal_stiffness * stress,
         lateral_stress=normal_stiffness * walls.mean(axis=0),
         axial_strain=axial,
@@ -162,16 +161,6 @@ def _spent(specimen: Specimen) -> Array:
     return np.array(
         [found.input, found.elastic, found.kinetic, found.slip, found.breakage, lost, found.error]
     )
-
-
-def _overlap(specimen: Specimen) -> float:
-    """Largest overlap of two grains, over the mean radius; raises `ModelError` beyond a bound.
-
-    Along a smooth joint grains slide past each other, so that those pairs do not count.
-    """
-    grains, pairs = specimen.grains, specimen.pairs
-    a, b = measures.listed(some_pairs(pairs, pairs.bond != JOINED))
-    return measures.largest_overlap(grains.x, grains.y, grains.radius, a, b)
 
 
 def flows(stress: Array) -> bool:

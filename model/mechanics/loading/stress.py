@@ -41,6 +41,7 @@ from demflow.model.mechanics.motion.equilibrium import (
     Stop,
 )
 from demflow.model.mechanics.motion.servo import TOO_STIFF, Servo, advanced, setpoint
+from demflow.model.mechanics.specimen.records import overlap_of
 from demflow.model.mechanics.specimen.rock import (
     Elasticity,
     build_specimen,
@@ -133,8 +134,9 @@ def load(
 
     Raises
     ------
-    ModelError : the specimen flows (beyond its strength), or did not come to rest in the
-        number of steps that is allowed for; the text says how far it came and what to try.
+    ModelError : the specimen flows (beyond its strength), its grains pass through one another, or
+        it did not come to rest in the number of steps that is allowed for; the text says how far
+        it came and what to try.
     """
     elastic = elasticity(
         contact, normal_stiffness, stiffness_ratio, friction, max(stress.xx, stress.yy)
@@ -230,6 +232,7 @@ def _along_a_path(rock: _Rock, wanted: Array, tolerance: float) -> StressState:
         stress=tolerance,
         strain=PLASTIC_STRAIN + 2.0 * way / MODULUS,
     )
+    specimen.watch = overlap_of  # grains that are too soft are told before the path's end
     reason = specimen.relax(path, stop, damping=DAMPING, steps=steps)
     if reason != AT_REST:
         raise ModelError(_why(specimen, path, reason, kn, rock.friction, steps))

@@ -7,7 +7,7 @@ one between walls, `cell.Cell` one that repeats itself.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field
 from typing import Any, NamedTuple
 
@@ -375,6 +375,7 @@ class Specimen(Assembly):
     joints: JointState = field(init=False)
     first_box: Array = field(init=False)  # as the specimen was made
     rebuilds: int = field(init=False, default=0)
+    watch: Callable[[Specimen], object] | None = field(init=False, default=None)  # at each list
     ledger: Array | None = field(init=False, default=None)
     opening: Array | None = field(init=False, default=None)  # what it stood at when it was opened
 
@@ -466,3 +467,5 @@ class Specimen(Assembly):
             )
         self.joints = self.lines.join(self.grains, self.pairs, self.law, self.joints)
         self.rebuilds += 1
+        if self.watch is not None:
+            self.watch(self)

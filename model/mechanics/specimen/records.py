@@ -10,7 +10,7 @@ from demflow.model.mechanics.contact.bonds import INTACT, PARALLEL_BONDS, BondSt
 from demflow.model.mechanics.contact.grains import Array
 from demflow.model.mechanics.contact.joints import APART
 from demflow.model.mechanics.contact.law import presses, relative_radius
-from demflow.model.mechanics.contact.neighbours import JOINED
+from demflow.model.mechanics.contact.neighbours import JOINED, some_pairs
 from demflow.model.mechanics.motion.equilibrium import Specimen
 from demflow.model.mechanics.specimen import measures
 
@@ -83,6 +83,16 @@ def carried(specimen: Specimen) -> Carried:
     both = Carried(*map(np.concatenate, zip(plain, joined, strict=True)))
     order = np.lexsort((both.b, both.a))
     return Carried(*(field[order] for field in both))
+
+
+def overlap_of(specimen: Specimen) -> float:
+    """Largest overlap of two grains, over the mean radius; raises `ModelError` beyond a bound.
+
+    Along a smooth joint grains slide past each other, so that those pairs do not count.
+    """
+    grains, pairs = specimen.grains, specimen.pairs
+    a, b = measures.listed(some_pairs(pairs, pairs.bond != JOINED))
+    return measures.largest_overlap(grains.x, grains.y, grains.radius, a, b)
 
 
 def broken(specimen: Specimen) -> Broken:
