@@ -169,28 +169,6 @@ def empty_answer(problem: Problem) -> Answer:
     )
 
 
-def rebalanced(value: np.ndarray, drain: np.ndarray, right: np.ndarray) -> tuple[np.ndarray, float]:
-    """A solution (n,) whose sum over all equations, the volume balance, holds to round-off.
-
-    The errors of a factor lean one way, so that what a march stores would part from what it lets
-    in; the last digits of every value, in proportion to it, make up for that.
-
-    Parameters
-    ----------
-    value : what a solve gave (n,)
-    drain : sums of the matrix's columns (n,)
-    right : the right-hand side (n,), m³/s
-
-    Returns
-    -------
-    The values, and what was missing, m³/s.
-    """
-    missing = right.sum() - drain @ value
-    share = np.abs(value)
-    size = float(drain @ share)
-    return value + (missing / size) * share if size > 0.0 else value, float(missing)
-
-
 def fill_map(problem: Problem, source: int, fields: np.ndarray) -> np.ndarray:
     """Pressure of the mapped domains (l, m) from the unknowns (l, n), for a unit source.
 

@@ -39,6 +39,12 @@ class Factor(NamedTuple):
     lower: np.ndarray  # the fronts' columns, see `Symbolic`; above the diagonal unused
     pivot: np.ndarray  # (n,)
 
+    @property
+    def parts(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """What kernels are given of it: one by one, since named tuples take long to pass."""
+        of = self.symbolic
+        return of.first, of.row_start, of.row, of.place, self.lower, self.pivot
+
 
 def factorise(symbolic: Symbolic, conductance: np.ndarray, excess: np.ndarray) -> Factor:
     """Factor the matrix with the given edge conductances (e,) ≥ 0 and row excesses (n,) ≥ 0.
@@ -76,13 +82,11 @@ def factorise(symbolic: Symbolic, conductance: np.ndarray, excess: np.ndarray) -
 def solve(factor: Factor, rhs: np.ndarray) -> np.ndarray:
     """Solve K x = rhs for one (n,) or several (n, k) right-hand sides."""
     symbolic = factor.symbolic
-    fronts = (symbolic.first, symbolic.row_start, symbolic.row, symbolic.place)
     x = np.ascontiguousarray(rhs[symbolic.order], dtype=float)
     if x.ndim == 1:
-        _forward(*fronts, factor.lower, x)
-        _backward(*fronts, factor.lower, factor.pivot, x)
+        substitute(*factor.parts, x)
     else:
-        _substitute_several(*fronts, factor.lower, factor.pivot, x)
+        _substitute_several(*factor.parts, x)
     found: np.ndarray = x[symbolic.rank]
     return found
 
@@ -283,6 +287,15 @@ def _add_products(
                 for r in range(both, hi):
                     target[ta + r] += a * source[s + r]
                     target[tb + r] += b * source[s + r]
+
+
+@kernel
+def substitute(
+    first: Array, row_start: Array, row: Array, place: Array, lower: Array, pivot: Array, x: Array
+) -> None:
+    """Solve L D Lᵀ x = x in place, (n,) in the order of elimination; see `Factor.parts`."""
+    _forward(first, row_start, row, place, lower, x)
+    _backward(first, row_start, row, place, lower, pivot, x)
 
 
 @kernel

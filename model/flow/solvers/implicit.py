@@ -17,7 +17,9 @@ from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import csr_array
 
+from demflow.model.compile import Array, kernel
 from demflow.model.flow.equation.algebraic import Algebraic, algebraic
 from demflow.model.flow.equation.balance import transient_misfit
 from demflow.model.flow.equation.outputs import map_rows
@@ -27,10 +29,9 @@ from demflow.model.flow.equation.problem import (
     empty_answer,
     fill_map,
     flow_noise,
-    rebalanced,
 )
 from demflow.model.flow.equation.system import System
-from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise, solve
+from demflow.model.flow.linear.factor import Factor, Symbolic, analyse, factorise, substitute
 from demflow.model.flow.solvers.krylov import rough
 from demflow.model.flow.solvers.share import shared_out
 from demflow.model.outcome import ModelError
@@ -64,6 +65,7 @@ EMBEDDED = np.array(
         61727 / 225920,
     ]
 )
+ESTIMATE = WEIGHTS - EMBEDDED
 
 RUNGS_PER_OCTAVE = 1  # steps are 2^k s
 
@@ -191,7 +193,7 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
     """Stages of one step of `size` s, whose matrix G + C / (γ h) is factored.
 
     The increments come from differences of stage values, not from f − G p, whose round-off
-    a stiff pore would magnify. Every stage is brought back into balance (`rebalanced`).
+    a stiff pore would magnify. Every stage is brought back into balance (`_rebalance`).
 
     Parameters
     ----------
@@ -201,19 +203,82 @@ def take_step(system: System, factor: Factor, rhs: np.ndarray, state: State, siz
     state : pressures before
     size : h, s
     """
-    scaled = system.storage / (GAMMA * size)
-    drain = system.excess + scaled
-    value = np.empty((len(STAGES), system.n))
-    increment = np.empty_like(value)
-    value[0], increment[0] = state.pressure, size * state.rate
-    missing = 0.0
-    for i in range(1, len(STAGES)):
-        known = state.pressure + STAGES[i, :i] @ increment[:i]
-        right = rhs + scaled * known
-        value[i], flow = rebalanced(solve(factor, right), drain, right)
-        missing = max(missing, size * abs(flow))
-        increment[i] = (value[i] - known) / GAMMA
+    equation = system.storage, system.excess, rhs
+    value, increment, missing = _stages(
+        *factor.parts, factor.symbolic.order, STAGES, *equation, state.pressure, state.rate, size
+    )
     return Step(size, value, increment, missing)
+
+
+@kernel
+def _stages(
+    first: Array,
+    row_start: Array,
+    row: Array,
+    place: Array,
+    lower: Array,
+    pivot: Array,
+    order: Array,
+    table: Array,
+    storage: Array,
+    excess: Array,
+    rhs: Array,
+    pressure: Array,
+    rate: Array,
+    size: float,
+) -> tuple[Array, Array, float]:
+    """Values and increments of all stages, and m³ out of balance; see `take_step`."""
+    n, count, gamma = pressure.size, len(table), table[-1, -1]
+    value, increment = np.empty((count, n)), np.empty((count, n))
+    scaled, drain = np.empty(n), np.empty(n)
+    known, right, x = np.empty(n), np.empty(n), np.empty(n)
+    for k in range(n):
+        scaled[k] = storage[k] / (gamma * size)
+        drain[k] = excess[k] + scaled[k]
+        value[0, k] = pressure[k]
+        increment[0, k] = size * rate[k]
+    missing = 0.0
+    for i in range(1, count):
+        known[:] = pressure
+        for j in range(i):
+            a = table[i, j]
+            for k in range(n):
+                known[k] += a * increment[j, k]
+        for k in range(n):
+            right[k] = rhs[k] + scaled[k] * known[k]
+        for k in range(n):
+            x[k] = right[order[k]]
+        substitute(first, row_start, row, place, lower, pivot, x)
+        for k in range(n):
+            value[i, order[k]] = x[k]
+        missing = max(missing, size * abs(_rebalance(value[i], drain, right)))
+        for k in range(n):
+            increment[i, k] = (value[i, k] - known[k]) / gamma
+    return value, increment, missing
+
+
+@kernel
+def _rebalance(value: Array, drain: Array, right: Array) -> float:
+    """Have the sum over all equations, the volume balance, hold to round-off; what was missing.
+
+    The errors of a factor lean one way, so that what a march stores would part from what it lets
+    in; the last digits of every value (n,), in proportion to it, make up for that. `drain` (n,) are
+    the sums of the matrix's columns, `right` (n,) is the right-hand side, m³/s.
+    """
+    n = value.size
+    missing = size = 0.0
+    for begin in range(0, n, 64):  # sums of sums, which lose fewer digits
+        some_missing = some_size = 0.0
+        for k in range(begin, min(begin + 64, n)):
+            held = drain[k] * value[k]
+            some_missing += right[k] - held
+            some_size += abs(held)
+        missing += some_missing
+        size += some_size
+    if size > 0.0:
+        for k in range(n):
+            value[k] += missing / size * abs(value[k])
+    return missing
 
 
 class Within(NamedTuple):
@@ -233,7 +298,7 @@ def _within() -> Within:
     ones, node = np.ones(len(STAGES)), STAGES.sum(axis=1)
     matrices = np.eye(len(STAGES)) + decay[:, None, None] * STAGES
     value = np.linalg.solve(matrices, ones[:, None])[..., 0]
-    seen = np.maximum(np.abs(value @ (WEIGHTS - EMBEDDED)) * decay, LEAST_ERROR)
+    seen = np.maximum(np.abs(value @ ESTIMATE) * decay, LEAST_ERROR)
     mixed = np.column_stack([value, -decay * value[:, -1]]) / seen[:, None]
     slope = [0.0, 1.0, 1.0, 1.0]  # of 1, t, t² / 2, t³ / 3 at the end
     conditions = np.column_stack([[ones, node, STAGES @ node, STAGES @ node**2], slope])
@@ -303,9 +368,7 @@ def _march(
                 "solver.tolerance above that, or use solver.method krylov"
             )
         step = take_step(system, ladder.factor(rung), rhs, state, size)
-        error = gauge.relative(
-            (WEIGHTS - EMBEDDED) @ step.increment, step.value[-1], state.time + size
-        )
+        error = gauge.relative(ESTIMATE @ step.increment, step.value[-1], state.time + size)
         growth = MOST_GROWTH if error == 0.0 else SAFETY * (allowed / error) ** 0.25
         growth = min(max(growth, LEAST_GROWTH), MOST_GROWTH)
         least = min(least, error)
@@ -366,8 +429,8 @@ def _let_in(problem: Problem, source: int, step: Step, weights: np.ndarray) -> n
     """Volume that each fixed pressure lets in over the weighted stages, (fixed,) m³."""
     records = problem.records
     flows = slice(records.well_rows, records.well_rows + records.flow_rows)
-    mean = records.rows @ (weights @ step.value) + weights.sum() * records.direct[source]
-    found: np.ndarray = step.size * mean[flows]
+    mean = _times(*_rows_of(records.rows), weights @ step.value)
+    found: np.ndarray = step.size * (mean + weights.sum() * records.direct[source])[flows]
     return found
 
 
@@ -386,8 +449,8 @@ class _Gauge:
         self.lag = problem.lag
         self.first = problem.lag[problem.lag > 0][0] if problem.lag.any() else 0.0
         flows = slice(records.well_rows, records.well_rows + records.flow_rows)
-        self.rows = records.rows
-        self.flow_rows = records.rows[flows]
+        self.rows = _rows_of(records.rows)
+        self.flow_rows = _rows_of(records.rows[flows])
         self.direct = records.direct[source][flows]
         self.check_flows = problem.check_flows and problem.share is None
         share = problem.share
@@ -401,32 +464,68 @@ class _Gauge:
     def accept(self, pressure: np.ndarray, time: float) -> None:
         """Remember the flows from the first lag on."""
         if self.check_flows and time >= self.first:
-            self.seen = np.maximum(self.seen, np.abs(self.flow_rows @ pressure + self.direct))
+            self.seen = np.maximum(
+                self.seen, np.abs(_times(*self.flow_rows, pressure) + self.direct)
+            )
 
     def relative(self, error: np.ndarray, pressure: np.ndarray, time: float) -> float:
         """The error (n,) against the pressure (n,) and the flows that it goes with at a time.
 
         Infinity where either is no finite number.
         """
-        if not (np.isfinite(error).all() and np.isfinite(pressure).all()):
+        mapped, off, size = self.mapped, _largest(error), _largest(pressure)
+        if not (off < math.inf and size < math.inf):
             return math.inf
-        mapped = self.mapped
-        worst = max(
-            _over(error, np.abs(pressure).max(initial=self.least_pressure)),
-            _over(error[mapped], np.abs(pressure[mapped]).max(initial=self.least_mapped)),
-        )
+        worst = _over(off, max(size, self.least_pressure))
+        if len(mapped):
+            size = max(_largest(pressure[mapped]), self.least_mapped)
+            worst = max(worst, _over(_largest(error[mapped]), size))
         if self.share is not None:
-            size = self.share[min(int(np.searchsorted(self.lag, time)), len(self.lag) - 1)]
-            off, counts = np.abs(self.rows @ error), size > 0.0
-            return float(max(worst, np.max(off[counts] / size[counts], initial=0.0)))
+            sizes = self.share[min(int(np.searchsorted(self.lag, time)), len(self.lag) - 1)]
+            return max(worst, _worst(_times(*self.rows, error), sizes))
         if not self.check_flows:
             return worst
-        flow = np.maximum(self.seen, np.abs(self.flow_rows @ pressure + self.direct))
+        flow = np.maximum(self.seen, np.abs(_times(*self.flow_rows, pressure) + self.direct))
         flow = np.maximum(flow, FAINT * flow.max(initial=self.least_flow))
-        off = np.abs(self.flow_rows @ error)
-        return float(max(worst, np.max(off[flow > 0] / flow[flow > 0], initial=0.0)))
+        return max(worst, _worst(_times(*self.flow_rows, error), flow))
 
 
-def _over(error: np.ndarray, size: float) -> float:
-    """Largest error over a size, 0 where there is none."""
-    return float(np.abs(error).max(initial=0.0) / size) if size > 0.0 else 0.0
+def _over(error: float, size: float) -> float:
+    """An error over a size, 0 where there is none."""
+    return error / size if size > 0.0 else 0.0
+
+
+def _rows_of(matrix: csr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What kernels are given of a sparse matrix."""
+    return matrix.indptr, matrix.indices, matrix.data
+
+
+@kernel
+def _times(start: Array, column: Array, value: Array, x: Array) -> Array:
+    """A sparse matrix (o, n), given by its rows, times x (n,)."""
+    found = np.zeros(len(start) - 1)
+    for o in range(len(found)):
+        for k in range(start[o], start[o + 1]):
+            found[o] += value[k] * x[column[k]]
+    return found
+
+
+@kernel
+def _largest(values: Array) -> float:
+    """The largest of them (n,) whatever its sign, infinity where one is no finite number."""
+    found = 0.0
+    for value in values:
+        if not np.isfinite(value):
+            return np.inf
+        found = max(found, abs(value))
+    return found
+
+
+@kernel
+def _worst(error: Array, size: Array) -> float:
+    """The largest error (o,) over the size (o,) it goes with, of those that have one."""
+    found = 0.0
+    for o in range(len(size)):
+        if size[o] > 0.0:
+            found = max(found, abs(error[o]) / size[o])
+    return found
