@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from demflow.model.compile import kernel
 from demflow.model.controls import Block, Controls, Steps, at_rates, limited_blocks
 from demflow.model.flow.equation.sites import time_since
 from demflow.model.outcome import ModelError
@@ -56,22 +57,48 @@ class Table:
     """Responses of the found wells' pressures to every source, at any time since a step."""
 
     def __init__(self, lag: Array, response: Array):
-        from scipy.interpolate import CubicSpline
-
         later = lag > 0.0
-        self.first = float(lag[later][0])
-        self.shape = response.shape[0], response.shape[2]
-        along = np.moveaxis(response[:, later], 1, 0).reshape(np.count_nonzero(later), -1)
-        self.steady = len(along) == 1
-        self.value = along[0] if self.steady else CubicSpline(np.log(lag[later]), along)
+        self.steady = response[:, later][:, 0] if np.count_nonzero(later) == 1 else None
+        if self.steady is None:
+            self.spline = _spline(lag[later], np.moveaxis(response[:, later], 0, 1))
 
-    def __call__(self, since: Array) -> Array:
-        """Of each source on each well, (k, sources, wells); none before the step."""
-        if self.steady:
-            flat = np.broadcast_to(self.value, (len(since), len(self.value)))
-        else:
-            flat = self.value(np.log(np.maximum(since, self.first)))
-        return np.where(since > 0.0, flat.T, 0.0).T.reshape(len(since), *self.shape)
+    def summed(self, since: Array, source: Array, size: Array) -> Array:
+        """What steps (k,) of some sources do together, times `since` them, to each well (wells,).
+
+        None does anything before its time.
+        """
+        if self.steady is not None:
+            return np.asarray((size * (since > 0.0)) @ self.steady[source])
+        return np.asarray(_summed(*self.spline, since, source, size))
+
+
+def _spline(lag: Array, values: Array) -> tuple[Array, Array]:
+    """A cubic spline over ln t of values (l, sources, …): places (l,), pieces (4, l − 1, …)."""
+    from scipy.interpolate import CubicSpline
+
+    found = CubicSpline(np.log(lag), values)
+    return found.x, np.ascontiguousarray(found.c)
+
+
+@kernel
+def _summed(place: Array, piece: Array, since: Array, source: Array, size: Array) -> Array:
+    """Sum of splines (see `_spline`) of some sources, each times a size, at some times > 0."""
+    found = np.zeros(piece.shape[3])
+    for k in range(len(since)):
+        if not since[k] > 0.0:
+            continue
+        at = max(np.log(since[k]), place[0])
+        low, high = 0, len(place) - 1
+        while high - low > 1:
+            middle = (low + high) // 2
+            if at < place[middle]:
+                high = middle
+            else:
+                low = middle
+        d, p = at - place[low], piece[:, low, source[k]]
+        for c in range(len(found)):
+            found[c] += size[k] * (((p[0, c] * d + p[1, c]) * d + p[2, c]) * d + p[3, c])
+    return found
 
 
 def settled(responses: Responses, controls: Controls, given: Steps) -> Settled | None:
@@ -104,21 +131,17 @@ def interpolating(
     volumes : whether the responses are volumes: their mean rates since the step are interpolated,
         so that together they stay what a step moves in the time
     """
-    from scipy.interpolate import CubicSpline
-
     later = np.flatnonzero(lag > 0.0)
-    spline = CubicSpline(np.log(lag[later]), np.eye(len(later)))
+    spline = _spline(lag[later], np.eye(len(later))[:, None])
     when, size = (np.array(column) for column in zip(*changes, strict=True))
+    source = np.zeros(len(when), dtype=int)
     weights = np.zeros((len(at), len(lag)))
     for k, time in enumerate(at):
         since = time_since(when, np.asarray(time))
-        acts = since > 0.0
-        if acts.any():
-            log = np.log(np.maximum(since[acts], lag[later[0]]))
-            each = spline(log)
-            if volumes:
-                each = since[acts, None] * each / lag[later]
-            weights[k, later] = size[acts] @ each
+        each = size * since if volumes else size
+        weights[k, later] = _summed(*spline, since, source, each)
+    if volumes:
+        weights[:, later] /= lag[later]
     return weights
 
 
@@ -141,6 +164,7 @@ class _Search:
         self.own = [fixed + k for k in self.found]  # their sources
         self.wells = [rated[k] for k in self.found]
         self.table = Table(responses.lag, responses.output[:, :, self.found])
+        self.soonest = float(responses.lag[responses.lag > 0.0][0])
         fields = responses.initial_output[:, :, self.found]
         still = fields.shape[1] == 1
         self.fields = None if still or not len(fields) else Table(responses.lag, fields)
@@ -152,7 +176,10 @@ class _Search:
             if source not in self.own
             for time, size in changes
         ]
-        self.known = tuple(np.array(c) for c in zip(*known, strict=True)) if known else None
+        self.known = None
+        if known:
+            when, source, size = zip(*known, strict=True)
+            self.known = np.array(when), np.array(source), np.array(size)
         self.end = controls.times[-1] if controls.transient else math.inf
         self.targets = [controls.wells[k].rate_changes for k in self.wells]
         starts = {0.0, *(t for changes in self.steps for t, _ in changes)}
@@ -181,7 +208,7 @@ class _Search:
             then = self._next(now)
             rate, holds = self._choose(now, then)
             if holds != self.holds:
-                soon = now + min(self.table.first, 0.5 * (then - now))
+                soon = now + min(self.soonest, 0.5 * (then - now))
                 _, at_once = self._choose(now, soon)
                 if at_once != self.holds:
                     if now > 0.0 or any(h == HELD for h in at_once):
@@ -192,7 +219,7 @@ class _Search:
                     rate, _ = self._solve(now, then, self.holds)
                     self._accept(now, then, rate, self.holds)
                     self.begin = now = then
-                    _, self.holds = self._choose(now, now + self.table.first)
+                    _, self.holds = self._choose(now, now + self.soonest)
                     switches.append(now)
                 if len(switches) > MOST_SWITCHES:
                     raise ModelError(
@@ -211,7 +238,7 @@ class _Search:
         busy = HELD in self.holds or any(len(b.members) > 1 for b in self.blocks)
         growth = 10.0 ** (1.0 / (FINE if busy else COARSE))
         past = now - self.begin
-        then = self.begin + max(self.table.first, past * growth, past + self.table.first)
+        then = self.begin + max(self.soonest, past * growth, past + self.soonest)
         # what is recorded is at the end of a step, where conditions hold
         stops = self.stops if busy else self.starts
         later = bisect.bisect_right(stops, now)
@@ -266,23 +293,23 @@ class _Search:
 
     def _before(self, now: float, then: float, holds: tuple[int, ...]) -> tuple[Array, Array]:
         """Pressures at the end of a step if rates stayed, and what a change of them does."""
-        at = np.array([then])
-        total = np.full(len(self.found), self.controls.reference)
+        total = np.full(len(self.found), float(self.controls.reference))
         if self.known is not None:
             when, source, size = self.known
-            since = at - when if math.isfinite(then) else np.full(len(when), math.inf)
-            responses = self.table(since)[np.arange(len(when)), source.astype(int)]
-            total = total + size @ responses
+            since = then - when if math.isfinite(then) else np.full(len(when), math.inf)
+            total += self.table.summed(since, source, size)
         for k, weight in enumerate(self.controls.initial_weights):
-            left = self.at_start[k] if self.fields is None else self.fields(at)[0, k]
-            total = total + weight * left
-        if len(self.when):
-            responses = self.table(then - self.when)[np.arange(len(self.when)), self.of]
-            total = total + self.jump @ responses
+            if self.fields is None:
+                total += weight * self.at_start[k]
+            else:
+                total += self.fields.summed(np.array([then]), np.array([k]), np.array([weight]))
+        total += self.table.summed(then - self.when, self.of, self.jump)
         since = then - self._changing(now, then, holds)
-        parts = self.table(since.ravel()).reshape(*since.shape, *self.table.shape)
-        every = np.arange(len(since))
-        return total, np.tensordot(parts[every, :, self.own], SHARES, (1, 0))
+        every = zip(since, self.own, strict=True)
+        response = [
+            self.table.summed(part, np.full(len(part), source), SHARES) for part, source in every
+        ]
+        return total, np.array(response)
 
     def _rates(self, now: float, before: Array, response: Array, holds: tuple[int, ...]) -> Array:
         """Rates under which the conditions hold at the end of a step."""
