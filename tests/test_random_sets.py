@@ -17,6 +17,7 @@ from demflow.model.scene import (
     RandomSet,
     Uniform,
     VonMises,
+    lines,
     lines_of,
 )
 from demflow.model.scene.random_sets import expected, segments
@@ -109,6 +110,27 @@ def test_apertures_follow_their_law_and_the_whole_length():
     apertures = [line.aperture for line in lines_of((drawn(intensity=300, aperture=law),), REGION)]
     standing(np.log(apertures), math.log(8e-5))
     standing((np.log(apertures) - math.log(8e-5)) ** 2, 0.25)
+
+
+def test_lines_are_those_of_the_scene_whatever_was_asked_for_before():
+    """In any order, also of sets that differ in width, place or region alone, and of many."""
+    wide = [2e-4, LogNormal(0.5, 1e-4), LengthPower(0.5, 1e-4, 2.0)]
+    asked = [
+        ((drawn(length=LONG, seed=seed, aperture=w), drawn(seed=seed, aperture=w)), region)
+        for seed in range(4)
+        for w in (1e-4, *wide)
+        for region in (REGION, Circle(0.7))
+    ]
+
+    def afresh(fractures, region):
+        lines._lines_of.cache_clear()
+        lines._kept.clear()
+        return lines_of(fractures, region)
+
+    alone = [afresh(*one) for one in asked]
+    for k in np.random.default_rng(7).integers(len(asked), size=100):
+        assert lines_of(*asked[k]) == alone[k]
+        assert len(lines._kept) <= lines.MOST_CLIPPED
 
 
 def test_least_spacing_keeps_centres_apart_or_says_that_it_cannot():

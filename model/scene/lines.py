@@ -35,6 +35,7 @@ __all__ = [
 RIM_TOUCH = 1e-9
 
 MOST_FOUND = 32  # networks of lines that are kept
+MOST_CLIPPED = 8  # fractures of which the pieces inside a region are kept
 
 
 class Line(NamedTuple):
@@ -145,29 +146,53 @@ def _lines_of(fractures: tuple[Fracture, ...], region: Region) -> tuple[Line, ..
     lines: list[Line] = []
     traces = 0
     for index, fracture in enumerate(fractures):
-        drawn = polylines(fracture, region)
-        owner, start, end = drawn.pieces
-        piece, s0, s1 = clip_segments(region, start, end)
-        step = end[piece] - start[piece]
-        a = np.where(s0[:, None] == 0.0, start[piece], start[piece] + s0[:, None] * step)
-        b = np.where(s1[:, None] == 1.0, end[piece], start[piece] + s1[:, None] * step)
-        # an end on the rim, but for round-off, is an end at the rim
-        leaves = ~contains(region, np.concatenate([a, b]) + RIM_TOUCH * np.vstack([a - b, b - a]))
-        for k in range(len(piece)):
-            trace = int(owner[piece[k]])
-            lines.append(
-                Line(
-                    index,
-                    _point(a[k]),
-                    _point(b[k]),
-                    bool(leaves[k]),
-                    bool(leaves[len(piece) + k]),
-                    traces + trace,
-                    None if drawn.aperture is None else float(drawn.aperture[trace]),
-                )
-            )
-        traces += len(drawn.first) - 1
+        drawn = _clipped(fracture, region)
+        width = _apertures(fracture, drawn.length)
+        for trace, start, end, at_start, at_end in drawn.pieces:
+            aperture = None if width is None else float(width[trace])
+            lines.append(Line(index, start, end, at_start, at_end, traces + trace, aperture))
+        traces += len(drawn.length)
     return tuple(lines)
+
+
+class _Clipped(NamedTuple):
+    """What a fracture of whatever aperture draws in a region."""
+
+    # polyline, start, end, and whether the fracture leaves the region there, of each piece
+    pieces: tuple[tuple[int, tuple[float, float], tuple[float, float], bool, bool], ...]
+    length: np.ndarray  # (m,) m, of each polyline, with all that lies outside
+
+
+def _clipped(fracture: Fracture, region: Region) -> _Clipped:
+    """Found once, of cases that differ in how wide the fracture is."""
+    key = _all_but_width(fracture), region
+    known = _kept.pop(key, None) or _clip(_outlines(fracture, region), region)
+    _kept[key] = known
+    if len(_kept) > MOST_CLIPPED:
+        del _kept[next(iter(_kept))]
+    return known
+
+
+_kept: dict[Any, _Clipped] = {}  # the last one used at the end
+
+
+def _all_but_width(fracture: Fracture) -> tuple[Any, ...]:
+    """What decides where a fracture runs, and which part it has in flow."""
+    others = (getattr(fracture, f.name) for f in fields(fracture) if f.name != "aperture")
+    return (type(fracture), fracture.part, *others)
+
+
+def _clip(drawn: Polylines, region: Region) -> _Clipped:
+    owner, start, end = drawn.pieces
+    piece, s0, s1 = clip_segments(region, start, end)
+    step = end[piece] - start[piece]
+    a = np.where(s0[:, None] == 0.0, start[piece], start[piece] + s0[:, None] * step)
+    b = np.where(s1[:, None] == 1.0, end[piece], start[piece] + s1[:, None] * step)
+    # an end on the rim, but for round-off, is an end at the rim
+    leaves = ~contains(region, np.concatenate([a, b]) + RIM_TOUCH * np.vstack([a - b, b - a]))
+    at_rim = leaves.reshape(2, len(piece)).tolist()
+    columns = (owner[piece].tolist(), map(_point, a), map(_point, b), *at_rim)
+    return _Clipped(tuple(zip(*columns, strict=True)), drawn.length)
 
 
 class FlowLine(NamedTuple):
@@ -194,10 +219,7 @@ def flow_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[FlowLin
 
     Of cases that differ in how wide fractures are, the same lines: found once.
     """
-    drawn = tuple(
-        (type(one), one.part, *(getattr(one, f.name) for f in fields(one) if f.name != "aperture"))
-        for one in fractures
-    )
+    drawn = tuple(map(_all_but_width, fractures))
     try:
         known = _found.get((drawn, region))
     except TypeError:  # a part that has no hash
@@ -231,24 +253,32 @@ def polylines(fracture: Fracture, region: Region) -> Polylines:
     An aperture that goes with the length of a trace goes with all of it, also what lies outside.
     Holes cut what is drawn, and change nothing of it.
     """
+    drawn = _outlines(fracture, region)
+    return drawn._replace(aperture=_apertures(fracture, drawn.length))
+
+
+def _outlines(fracture: Fracture, region: Region) -> Polylines:
+    """The polylines of a fracture, of whatever aperture."""
     region = outer_shape(region)
     if isinstance(fracture, TraceMap):
-        points, first = fracture.laid.vertices, fracture.laid.first
-    elif isinstance(fracture, FractureSet | RandomSet):
-        if isinstance(fracture, FractureSet):
-            points = _set_ends(fracture, region)
-        else:
-            points = np.stack(segments(fracture.drawing, region), axis=1).reshape(-1, 2)
-        first = np.arange(0, len(points) + 1, 2)
+        return Polylines(fracture.laid.vertices, fracture.laid.first, None)
+    if isinstance(fracture, FractureSet):
+        points = _set_ends(fracture, region)
+    elif isinstance(fracture, RandomSet):
+        points = np.stack(segments(fracture.drawing, region), axis=1).reshape(-1, 2)
     else:
         points = np.array(fracture.points, dtype=float).reshape(-1, 2)
-        first = np.array([0, len(points)])
-    drawn = Polylines(points, first, None)
+        return Polylines(points, np.array([0, len(points)]), None)
+    return Polylines(points, np.arange(0, len(points) + 1, 2), None)
+
+
+def _apertures(fracture: Fracture, length: np.ndarray) -> np.ndarray | None:
+    """Apertures (m,) m of the polylines of a fracture, (m,) m long; None where it has none."""
     if fracture.aperture is None:
-        return drawn
+        return None
     seed = getattr(fracture, "seed", None)
     rng = stream(1 if seed is None else seed, "aperture")
-    return drawn._replace(aperture=apertures(fracture.aperture, rng, drawn.length))
+    return apertures(fracture.aperture, rng, length)
 
 
 def _point(at: np.ndarray) -> tuple[float, float]:
