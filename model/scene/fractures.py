@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 from demflow.model.parameters import Problems, SceneError, check_fields, parameter
 from demflow.model.region import Region, clip_segments, contains, distance_to_rim, outer_shape
@@ -111,6 +112,12 @@ class _FractureProperties:
     )
 
     @property
+    def course(self) -> tuple[Any, ...]:
+        """What decides where it runs: all but what it is to flow and to the grains."""
+        own = (getattr(self, f.name) for f in fields(self) if f.name not in _PROPERTIES)
+        return (type(self).__name__, *own)
+
+    @property
     def acts_on_flow(self) -> bool:
         """Whether it is more than a mere joint."""
         return bool(self._kinds)
@@ -157,6 +164,9 @@ class _FractureProperties:
             what = "belongs to a fracture given by a permeability; another stores in its own volume"
             problems.append(("pore_storage", what))
         return problems
+
+
+_PROPERTIES = frozenset(field.name for field in fields(_FractureProperties))
 
 
 def _ends(at: tuple[float, float], angle: float, half: float) -> tuple[tuple[float, float], ...]:

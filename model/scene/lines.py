@@ -164,8 +164,8 @@ class _Clipped(NamedTuple):
 
 
 def _clipped(fracture: Fracture, region: Region) -> _Clipped:
-    """Found once, of cases that differ in how wide the fracture is."""
-    key = _all_but_width(fracture), region
+    """Found once, of cases that differ in what the fracture conducts."""
+    key = fracture.course, region
     known = _kept.pop(key, None) or _clip(_outlines(fracture, region), region)
     _kept[key] = known
     if len(_kept) > MOST_CLIPPED:
@@ -174,12 +174,6 @@ def _clipped(fracture: Fracture, region: Region) -> _Clipped:
 
 
 _kept: dict[Any, _Clipped] = {}  # the last one used at the end
-
-
-def _all_but_width(fracture: Fracture) -> tuple[Any, ...]:
-    """What decides where a fracture runs, and which part it has in flow."""
-    others = (getattr(fracture, f.name) for f in fields(fracture) if f.name != "aperture")
-    return (type(fracture), fracture.part, *others)
 
 
 def _clip(drawn: Polylines, region: Region) -> _Clipped:
@@ -219,7 +213,10 @@ def flow_lines(fractures: tuple[Fracture, ...], region: Region) -> tuple[FlowLin
 
     Of cases that differ in how wide fractures are, the same lines: found once.
     """
-    drawn = tuple(map(_all_but_width, fractures))
+    drawn = tuple(
+        (type(one), one.part, *(getattr(one, f.name) for f in fields(one) if f.name != "aperture"))
+        for one in fractures
+    )
     try:
         known = _found.get((drawn, region))
     except TypeError:  # a part that has no hash
