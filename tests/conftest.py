@@ -27,6 +27,8 @@ for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM"):  # read when NumPy 
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+gc.disable()  # until all is imported, little of which is garbage
+
 _notes = Path(tempfile.mkdtemp(prefix="demflow-tests-"))
 atexit.register(shutil.rmtree, _notes, ignore_errors=True)
 cache.share_sources(_notes)
@@ -42,9 +44,14 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What is imported by now stays: each run that looks for garbage need not go through it."""
+    """What is imported by now stays: each run that looks for garbage need not go through it.
+
+    Figures leave much that refers to itself; to look for it seldom costs less.
+    """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
+    gc.enable()
 
 
 @pytest.fixture(scope="module")

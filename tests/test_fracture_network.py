@@ -128,19 +128,20 @@ def simple_ways(graph):
     ports = {}
     for node, port in zip(graph.port_node.tolist(), graph.port.tolist(), strict=True):
         ports.setdefault(node, set()).add(port)
-    found = set()
+    found = 0  # sets of nodes and of branches are the bits of a number
 
-    def walk(node, seen, way, begun):
-        if ports.get(node, set()) - begun and way:
-            found.update(way)
+    def walk(node, seen, way, ends):
+        nonlocal found
+        if node in ends:
+            found |= way
         for other, branch in around.get(node, ()):
-            if other not in seen:
-                walk(other, seen | {other}, [*way, branch], begun)
+            if not seen >> other & 1:
+                walk(other, seen | 1 << other, way | 1 << branch, ends)
 
     for node, own in ports.items():
         for port in own:
-            walk(node, {node}, [], {port})
-    return found
+            walk(node, 1 << node, 0, {n for n, there in ports.items() if there - {port}})
+    return {branch for branch in range(len(graph.branch_a)) if found >> branch & 1}
 
 
 @pytest.mark.slow

@@ -48,11 +48,19 @@ class Certificate(NamedTuple):
         return ("--protocol", "tls", "--tls-ca-file", str(self.certificate), *own)
 
     @property
+    def configuration(self) -> dict[str, str]:
+        """How a client's Dask is told of it."""
+        files = {"ca-file": self.certificate, "client.cert": self.certificate}
+        files["client.key"] = self.key
+        return {f"distributed.comm.tls.{name}": str(file) for name, file in files.items()}
+
+    @property
     def environment(self) -> dict[str, str]:
-        """How the client is told of it."""
-        files = {"CA_FILE": self.certificate, "CLIENT__CERT": self.certificate}
-        files["CLIENT__KEY"] = self.key
-        return {f"DASK_DISTRIBUTED__COMM__TLS__{name}": str(file) for name, file in files.items()}
+        """The same, for a client in a process of its own."""
+        return {
+            "DASK_" + name.upper().replace(".", "__").replace("-", "_"): file
+            for name, file in self.configuration.items()
+        }
 
 
 def certificate(folder: Path) -> Certificate:

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import psutil
 import pytest
+from dask import config
 
 from demflow.model.outcome import Status
 from demflow.sweep.dataset.open import open_results
@@ -102,9 +103,9 @@ def test_parents_that_are_too_large_together_for_a_workers_memory_reach_it(tmp_p
     assert (finished.failed, finished.executed.computed) == (0, 2 + 2 * len(rates))
 
 
-def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
+def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path, capsys):
     made = certificate(tmp_path)
-    with dask_cluster(tmp_path / "processes", certificate=made) as cluster:
+    with dask_cluster(tmp_path / "processes", workers=1, certificate=made) as cluster:
         address, workers = cluster.address, cluster.workers
         assert address.startswith("tls://127.0.0.1:")
 
@@ -116,14 +117,18 @@ def test_tls_with_a_worker_killed_and_a_client_without_certificate(tmp_path):
 
         same_bits_though_a_worker_is_killed(tmp_path, run, workers[0])
         path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
-        stranger = start(path, tmp_path / "none", "--scheduler", address)
-        status, _, told = stranger.finish(60)
-        assert (status, len(told.splitlines())) == (2, 1)
+        place = (str(path), "--results", str(tmp_path / "none"), "--scheduler", address)
+
+        def refused() -> str:
+            assert toys.demflow("run", *place) == 2
+            told = capsys.readouterr().err
+            assert len(told.splitlines()) == 1
+            return told
+
+        told = refused()
         assert f"{address} needs certificates: set DASK_DISTRIBUTED__COMM__TLS__CA_FILE" in told
-        lost = made._replace(key=tmp_path / "lost.pem").environment
-        status, _, told = start(path, tmp_path / "none", "--scheduler", address, **lost).finish(60)
-        assert (status, len(told.splitlines())) == (2, 1)
-        assert str(tmp_path / "lost.pem") in told
+        with config.set(made._replace(key=tmp_path / "lost.pem").configuration):
+            assert str(tmp_path / "lost.pem") in refused()
 
 
 def test_a_scheduler_that_dies_ends_the_run_and_what_was_finished_is_kept(tmp_path, monkeypatch):
