@@ -3,7 +3,7 @@
 Numba optimises each function and translates it on its own, with wrappers through which Python
 and C may call it, before it links it into its caller, where the same happens again. Here a kernel
 that another one calls is a *part*: it is typed and lowered, once for each types of arguments,
-and the rest is left to the kernel that Python calls.
+and the rest is left to the kernel that Python calls, where all is optimised at once.
 """
 
 # Numba gives types to few of these:
@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from types import FunctionType
 from typing import Any
 
@@ -22,7 +22,14 @@ from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import lookup_environment
 
 
-class _Whole(JITCodeLibrary):
+class _Linked(JITCodeLibrary):
+    """Code that is optimised once, when all of it is linked."""
+
+    def _optimize_functions(self, module: Any) -> None:
+        module.data_layout = self._codegen._data_layout
+
+
+class _Whole(_Linked):
     """Code that Python calls: knows the constants of all its parts."""
 
     def _finalize_specific(self) -> None:
@@ -33,11 +40,8 @@ class _Whole(JITCodeLibrary):
                 self._codegen.set_env(variable.name, environment)
 
 
-class _Part(JITCodeLibrary):
+class _Part(_Linked):
     """Code that is only linked into other code."""
-
-    def _optimize_functions(self, module: Any) -> None:
-        module.data_layout = self._codegen._data_layout
 
     def _optimize_final_module(self) -> None:
         """Leave it to the whole."""
@@ -70,6 +74,29 @@ def _parts_only(codegen: Any) -> Iterator[None]:
         del codegen.create_library
 
 
+@cache
+def _looked_up(function: types.Function, context: Any, args: Any, keywords: Any) -> Any:
+    return types.BaseFunction.get_call_type(function, context, args, dict(keywords))
+
+
+def _signature(function: types.Function, context: Any, args: Any, keywords: Any) -> Any:
+    return _looked_up(function, context, tuple(args), tuple(keywords.items()))
+
+
+@contextmanager
+def _signatures_kept() -> Iterator[None]:
+    """Look up but once what each of Numba's own functions makes of arguments of some types.
+
+    Numba does so at each call, and tries one after another all that the function may mean.
+    """
+    functions: Any = types.Function  # which inherits it
+    functions.get_call_type = _signature
+    try:
+        yield
+    finally:
+        del functions.get_call_type
+
+
 class Wholes(Compiler):
     """Numba's compiler of a kernel that Python calls."""
 
@@ -78,7 +105,7 @@ class Wholes(Compiler):
         codegen = self.state.targetctx.codegen()
         self.state.library = _Whole(codegen, function.__qualname__)
         self.state.library.enable_object_caching()
-        with _parts_only(codegen):
+        with _parts_only(codegen), _signatures_kept():
             return super().compile_extra(function)
 
 
