@@ -53,50 +53,93 @@ FX, FY, TORQUE_A, TORQUE_B, FORCE = DX, DY, TURN_A, TURN_B, D
 
 
 @kernel
-def gather(
-    w: Array,
+def push(
+    own: Array,
     grains: Grains,
     pairs: Pairs,
-    begin: int,
-    count: int,
+    bonds: BondState,
+    law: Law,
+    box: Array,
+    step: int,
     dt: float,
     stretch_x: float,
     stretch_y: float,
-) -> None:
-    """What the pairs from `begin` on see of their grains.
+    special: bool,
+    ledger: Array | None,
+) -> tuple[int, float]:
+    """Add the forces of all pairs to their grains; returns the number of contacts and Σ |F|.
+
+    What a grain gets from pairs under itself is summed on the way and stored in `own`, to be
+    added later: one store a pair, which waits for none before it. Gathering and handing back
+    stand here, since handing so many arrays to a function costs as much as a dozen pairs.
 
     Parameters
     ----------
-    w : the block, (ROWS * BLOCK,)
+    own : what grains get from pairs under themselves, (3, n), zeros
     grains : the grains (n,), in units of mean radius and k_n
     pairs : pairs of grains near each other, (m,)
-    begin : first pair
-    count : pairs in the block
+    bonds : bonds (b,)
+    law : law of contact, a named tuple that chooses what is done by its type
+    box : walls xmin, xmax, ymin, ymax, (4,)
+    step : number of the time step
     dt : time step
     stretch_x : affine strain of the step along x, extension positive
     stretch_y : the same along y
+    special : whether there are bonds, joints or a ledger
+    ledger : energies (13,), see `energy`, or None
     """
     x, y, radius = grains.x, grains.y, grains.radius
     vx, vy, spin = grains.vx, grains.vy, grains.spin
-    for q in range(count):
-        k = np.uint64(begin + q)
-        i, j = np.uint64(pairs.one[k]), np.uint64(pairs.other[k])
-        dx, dy = x[j] - x[i], y[j] - y[i]
-        w[DX + q], w[DY + q] = dx, dy
-        w[UX + q] = dt * (vx[j] - vx[i]) + stretch_x * dx
-        w[UY + q] = dt * (vy[j] - vy[i]) + stretch_y * dy
-        w[TURN_A + q], w[TURN_B + q] = dt * spin[i], dt * spin[j]
-        w[RADIUS_A + q], w[RADIUS_B + q] = radius[i], radius[j]
-        w[SHEAR + q] = pairs.shear[k]
+    fx, fy, torque = grains.fx, grains.fy, grains.torque
+    one, other, shear = pairs.one, pairs.other, pairs.shear
+    w = np.zeros(ROWS * BLOCK)
+    contacts, force = 0, 0.0
+    for begin in range(0, other.size, BLOCK):
+        count = min(BLOCK, other.size - begin)
+        for q in range(count):
+            k = np.uint64(begin + q)
+            i, j = np.uint64(one[k]), np.uint64(other[k])
+            dx, dy = x[j] - x[i], y[j] - y[i]
+            w[DX + q], w[DY + q] = dx, dy
+            w[UX + q] = dt * (vx[j] - vx[i]) + stretch_x * dx
+            w[UY + q] = dt * (vy[j] - vy[i]) + stretch_y * dy
+            w[TURN_A + q], w[TURN_B + q] = dt * spin[i], dt * spin[j]
+            w[RADIUS_A + q], w[RADIUS_B + q] = radius[i], radius[j]
+        touch(w, shear, begin, count, law)
+        if special:
+            cement(w, grains, pairs, bonds, begin, count, law, box, step, ledger)
+        resist_rolling(w, pairs, begin, count, law, special, ledger)
+        contacts += project(w, count)
+        i = last = np.uint64(one[np.uint64(begin)])
+        ax, ay, at = own[0, i], own[1, i], own[2, i]
+        for q in range(count):
+            k = np.uint64(begin + q)
+            i, j = np.uint64(one[k]), np.uint64(other[k])
+            if i != last:
+                ax = ay = at = 0.0
+            last = i
+            ax -= w[FX + q]
+            ay -= w[FY + q]
+            at += w[TORQUE_A + q]
+            own[0, i], own[1, i], own[2, i] = ax, ay, at
+            fx[j] += w[FX + q]
+            fy[j] += w[FY + q]
+            torque[j] += w[TORQUE_B + q]
+            force += w[FORCE + q]
+        for q in range(count):
+            shear[np.uint64(begin + q)] = w[SHEAR + q]
+    return contacts, force
 
 
 @kernel
-def touch(w: Array, count: int, law: Law) -> None:
+def touch(w: Array, shear: Array, begin: int, count: int, law: Law) -> None:
     """Forces of contacts with friction.
 
     Parameters
     ----------
     w : the block, (ROWS * BLOCK,)
+    shear : shear forces of all pairs before the step, (m,)
+    begin : first pair
     count : pairs in the block
     law : law of contact, a named tuple that chooses what is done by its type
     """
@@ -114,7 +157,8 @@ def touch(w: Array, count: int, law: Law) -> None:
             w[UX + q], w[UY + q], nx, ny, inverse, w[TURN_A + q], w[TURN_B + q], arm_a, arm_b
         )
         fn = press(law, un, r)
-        fs = slip(shear_force(w[SHEAR + q], shear_stiffness(law, un, r), us), mu * fn)
+        before = shear[np.uint64(begin + q)]
+        fs = slip(shear_force(before, shear_stiffness(law, un, r), us), mu * fn)
         w[D + q], w[NX + q], w[NY + q], w[US + q] = d, nx, ny, us
         w[ARM_A + q], w[ARM_B + q] = arm_a, arm_b
         w[FN + q], w[FS + q], w[SHEAR + q] = fn, fs, fs
@@ -274,42 +318,3 @@ def project(w: Array, count: int) -> int:
         w[FORCE + q] = np.sqrt(fn * fn + fs * fs)
         contacts += int(w[ACTS + q])
     return contacts
-
-
-@kernel
-def hand_back(w: Array, grains: Grains, pairs: Pairs, own: Array, begin: int, count: int) -> float:
-    """Add the block's forces to its grains, keep its shear; returns Σ |F|.
-
-    What a grain gets from pairs under itself is summed on the way and stored in `own` (3, n),
-    to be added later: one store a pair, which waits for none before it.
-
-    Parameters
-    ----------
-    w : the block, (ROWS * BLOCK,)
-    grains : the grains (n,), in units of mean radius and k_n
-    pairs : pairs of grains near each other, (m,)
-    own : what grains get from pairs under themselves, (3, n)
-    begin : first pair
-    count : pairs in the block
-    """
-    fx, fy, torque = grains.fx, grains.fy, grains.torque
-    force = 0.0
-    i = np.uint64(pairs.one[begin])
-    ax, ay, at = own[0, i], own[1, i], own[2, i]
-    last = i
-    for q in range(count):
-        k = np.uint64(begin + q)
-        i, j = np.uint64(pairs.one[k]), np.uint64(pairs.other[k])
-        if i != last:
-            ax = ay = at = 0.0
-        last = i
-        ax -= w[FX + q]
-        ay -= w[FY + q]
-        at += w[TORQUE_A + q]
-        own[0, i], own[1, i], own[2, i] = ax, ay, at
-        fx[j] += w[FX + q]
-        fy[j] += w[FY + q]
-        torque[j] += w[TORQUE_B + q]
-        pairs.shear[k] = w[SHEAR + q]
-        force += w[FORCE + q]
-    return force

@@ -13,16 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.compile import kernel
-from demflow.model.mechanics.contact.batches import (
-    BLOCK,
-    ROWS,
-    cement,
-    gather,
-    hand_back,
-    project,
-    resist_rolling,
-    touch,
-)
+from demflow.model.mechanics.contact.batches import BLOCK, push
 from demflow.model.mechanics.contact.bonds import NO_BONDS, BondState
 from demflow.model.mechanics.contact.energy import ELASTIC
 from demflow.model.mechanics.contact.grains import Array, Grains
@@ -55,7 +46,7 @@ class Sums(NamedTuple):
 
 
 @kernel
-def contact_forces(  # noqa: C901 (a kernel)
+def contact_forces(
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,
@@ -105,18 +96,12 @@ def contact_forces(  # noqa: C901 (a kernel)
         contacts, force = joint_forces(grains, joints, box, step, dt, stretch_x, stretch_y, ledger)
     special = bonds.kind != NO_BONDS or joints.a.size > 0 or ledger is not None
     own = np.zeros((3, x.size))
-    w = np.zeros(ROWS * BLOCK)
-    for begin in range(0, pairs.other.size, BLOCK):
-        count = min(BLOCK, pairs.other.size - begin)
-        gather(w, grains, pairs, begin, count, dt, stretch_x, stretch_y)
-        touch(w, count, law)
-        if special:
-            cement(w, grains, pairs, bonds, begin, count, law, box, step, ledger)
-        resist_rolling(w, pairs, begin, count, law, special, ledger)
-        contacts += project(w, count)
-        force += hand_back(w, grains, pairs, own, begin, count)
+    touching, pushed = push(
+        own, grains, pairs, bonds, law, box, step, dt, stretch_x, stretch_y, special, ledger
+    )
+    contacts += touching
+    force += pushed
     virial_xx = virial_yy = virial_xy = load_xx = load_yy = 0.0
-    unbalanced, loaded = 0.0, 0
     left = right = bottom = top = 0.0
     n_left = n_right = n_bottom = n_top = 0
     for i in range(x.size):
@@ -147,10 +132,6 @@ def contact_forces(  # noqa: C901 (a kernel)
             n_top += 1
             virial_xy += 0.5 * fn * xi
         fx[i], fy[i], torque[i] = fxi, fyi, ti
-        f2 = fxi * fxi + fyi * fyi
-        if f2 > 0.0:
-            unbalanced += np.sqrt(f2)
-            loaded += 1
         load_x, load_y = grains.load_x[i], grains.load_y[i]
         load_xx += xi * load_x
         load_yy += yi * load_y
@@ -168,9 +149,33 @@ def contact_forces(  # noqa: C901 (a kernel)
     if n_bottom + n_top > 0:
         virial_yy += top * ymax - bottom * ymin
     return Sums(
-        contacts, force, unbalanced / max(loaded, 1), virial_xx, virial_yy, virial_xy,
+        contacts, force, mean_size(fx, fy, x.size), virial_xx, virial_yy, virial_xy,
         load_xx, load_yy, left, right, bottom, top, n_left, n_right, n_bottom, n_top,
     )  # fmt: skip
+
+
+@kernel
+def mean_size(fx: Array, fy: Array, count: int) -> float:
+    """Mean |F| over those of the first grains on which anything acts.
+
+    A loop of its own over blocks, so that the compiler takes several roots at a time.
+
+    Parameters
+    ----------
+    fx, fy : forces, (n,)
+    count : how many grains are looked at
+    """
+    size = np.empty(BLOCK)
+    total, loaded = 0.0, 0
+    for begin in range(0, count, BLOCK):
+        some = min(BLOCK, count - begin)
+        for q in range(some):
+            i = np.uint64(begin + q)
+            size[q] = np.sqrt(fx[i] * fx[i] + fy[i] * fy[i])
+        for q in range(some):
+            total += size[q]
+            loaded += int(size[q] > 0.0)
+    return total / max(loaded, 1)
 
 
 @kernel
