@@ -367,7 +367,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="pack",
         function="demflow.model.mechanics.packing.packing:pack",
-        version=7,
+        version=8,
         parents=(),
         reads={
             **_PACK_READS,
@@ -379,7 +379,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="specimen",
         function="demflow.model.mechanics.packing.packing:pack",
-        version=1,
+        version=2,
         parents=(),
         reads={**_PACK_READS, "specimen": lambda s: True},
         wanted=lambda s: s.tests and s.porous,
@@ -402,7 +402,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="stress",
         function="demflow.model.mechanics.loading.stress:load",
-        version=11,
+        version=12,
         parents=("pack", "unit_loads"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -435,7 +435,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="demflow.model.mechanics.loading.strength:strength",
-        version=8,
+        version=9,
         parents=("pack", "specimen"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,
@@ -619,7 +619,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="fracture",
         function="demflow.model.coupling.fracture:fracture",
-        version=5,
+        version=6,
         parents=("pack", "calibrate", "fracture"),
         reads={
             "rock": _breaking_rock,

@@ -21,7 +21,7 @@ from demflow.model.mechanics.contact.laws import (
     tangential_step,
 )
 from demflow.model.mechanics.contact.neighbours import find_pairs, no_pairs
-from demflow.model.mechanics.motion.equilibrium import NEVER, OUT_OF_STEPS, Specimen
+from demflow.model.mechanics.motion.equilibrium import FIRE, NEVER, OUT_OF_STEPS, Specimen
 from demflow.model.mechanics.motion.servo import STANDING, Servo
 
 FAR = np.array([-1e3, 1e3, -1e3, 1e3])  # walls that nothing reaches
@@ -268,9 +268,32 @@ def test_shear_history_does_not_notice_when_the_list_is_made_anew() -> None:
     np.testing.assert_allclose(one.spin, two.spin, atol=1e-13)
 
 
+@pytest.mark.parametrize("damping", [FIRE, 0.7])
+def test_lists_as_wide_as_pays_change_no_bit(damping: float) -> None:
+    """A random packing is pressed from a gas to rest, by lists of a given width and by others."""
+
+    def pressed(skin: float | None) -> Specimen:
+        rng = np.random.Generator(np.random.PCG64(5))
+        x, y = (v.ravel() for v in np.meshgrid(*2 * [2.2 * np.arange(-6.0, 7.0)]))
+        radius, speed = rng.uniform(0.7, 1.3, 169), 0.02 * rng.normal(size=(169, 2))
+        grains = discs(x, y, radius=radius, velocity=speed)
+        box = np.array([-15.0, 15.0, -15.0, 15.0])
+        specimen = Specimen(grains, box, Linear(1.0, 0.4, 0.3), skin=skin)
+        servo = Servo(1e-3, 1e-3, 1e-3, 1e-3)
+        specimen.relax(servo, NEVER, damping=damping, steps=3000)
+        return specimen
+
+    given, fits = pressed(0.3), pressed(None)
+    assert fits.sums.contacts > 169
+    assert len(fits.pairs.other) < len(given.pairs.other)
+    for one, two in zip(given.grains, fits.grains, strict=True):
+        np.testing.assert_array_equal(one, two)
+    assert given.sums == fits.sums
+
+
 @settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 1000), speed=st.floats(1e-3, 0.5), skin=st.floats(0.05, 1.0))
-def test_no_contact_is_missed_between_lists(seed: int, speed: float, skin: float) -> None:
+@given(seed=st.integers(0, 1000), speed=st.floats(1e-3, 0.5), skin=st.none() | st.floats(0.05, 1.0))
+def test_no_contact_is_missed_between_lists(seed: int, speed: float, skin: float | None) -> None:
     """At whatever moment one looks, every touching pair is in the list."""
     rng = np.random.Generator(np.random.PCG64(seed))
     x, y = rng.uniform(-7, 7, (2, 40))

@@ -95,9 +95,9 @@ def find_pairs(grains: Grains, skin: float, old: Pairs) -> Pairs:
             y.copy(),
         )
         count = fill_pairs(new, radius, skin, low_x, low_y, size, nx, ny, first, members, old)
-        if count <= capacity:
+        if count >= 0:
             return some_pairs(new, slice(count))
-        capacity = count
+        capacity *= 2
 
 
 @kernel
@@ -146,7 +146,7 @@ def fill_pairs(
     members: Array,
     old: Pairs,
 ) -> int:
-    """Fill the new list; returns the number of pairs, which may exceed the room for them.
+    """Fill the new list; returns the number of pairs, or −1 where there may be no room for them.
 
     Parameters
     ----------
@@ -168,32 +168,37 @@ def fill_pairs(
     for i in range(x.size):
         new.start[i] = count
         cx, cy = int((x[i] - low_x) / size), int((y[i] - low_y) / size)
-        for c in range(max(cy - 1, 0), min(cy + 2, ny)):
-            for m in range(first[c * nx + max(cx - 1, 0)], first[c * nx + min(cx + 1, nx - 1) + 1]):
+        left, right = max(cx - 1, 0), min(cx + 2, nx)
+        bottom, top = max(cy - 1, 0), min(cy + 2, ny)
+        around = 0
+        for c in range(bottom, top):
+            around += first[c * nx + right] - first[c * nx + left]
+        if count + around > room:
+            return -1
+        begin = count
+        for c in range(bottom, top):
+            for m in range(first[c * nx + left], first[c * nx + right]):
                 j = members[m]
-                if j <= i:
-                    continue
                 dx, dy = x[j] - x[i], y[j] - y[i]
                 reach = radius[i] + radius[j] + skin
-                if dx * dx + dy * dy < reach * reach:
-                    if count < room:
-                        k = count  # insertion keeps the pairs of i in the order of j
-                        while k > new.start[i] and new.other[k - 1] > j:
-                            new.other[k] = new.other[k - 1]
-                            k -= 1
-                        new.one[count] = i
-                        new.other[k] = j
-                    count += 1
-        if count <= room:
-            q, end = old.start[i], old.start[i + 1]
-            for k in range(new.start[i], count):
-                while q < end and old.other[q] < new.other[k]:
-                    q += 1
-                if q < end and old.other[q] == new.other[k]:
-                    new.shear[k], new.bond[k] = old.shear[q], old.bond[q]
-                    new.moment[k] = old.moment[q]
-                else:
-                    new.shear[k], new.bond[k], new.moment[k] = 0.0, -1, 0.0
+                new.other[count] = j  # stays if it is near: no branch that is hard to foretell
+                count += int((j > i) & (dx * dx + dy * dy < reach * reach))
+        for m in range(begin + 1, count):  # insertion brings the pairs of i in the order of j
+            j, k = new.other[m], m
+            while k > begin and new.other[k - 1] > j:
+                new.other[k] = new.other[k - 1]
+                k -= 1
+            new.other[k] = j
+        q, end = old.start[i], old.start[i + 1]
+        for k in range(begin, count):
+            new.one[k] = i
+            while q < end and old.other[q] < new.other[k]:
+                q += 1
+            if q < end and old.other[q] == new.other[k]:
+                new.shear[k], new.bond[k] = old.shear[q], old.bond[q]
+                new.moment[k] = old.moment[q]
+            else:
+                new.shear[k], new.bond[k], new.moment[k] = 0.0, -1, 0.0
     new.start[x.size] = count
     return count
 

@@ -9,12 +9,12 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import InitVar, dataclass, field
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
 from demflow.model.compile import kernel
-from demflow.model.mechanics.contact.bonds import INTACT, BondState, no_bonds
+from demflow.model.mechanics.contact.bonds import INTACT, NO_BONDS, BondState, no_bonds
 from demflow.model.mechanics.contact.contacts import Sums, contact_forces
 from demflow.model.mechanics.contact.energy import (
     KINETIC,
@@ -64,7 +64,8 @@ from demflow.model.mechanics.motion.servo import (
 from demflow.model.outcome import ModelError
 
 TIME_STEP = 0.5  # √(m/k): stable for six contacts a grain (`grains.scaled_mass`); 0.6 is not
-SKIN = 0.3  # of the list of pairs, in mean radii
+SKIN = 0.3  # of the first list of pairs, in mean radii
+NARROWEST, WIDEST = 0.01, 0.6  # of later ones
 FIRE = -1.0  # in place of a coefficient of local damping: any below zero
 
 # how a run ended; the driver looks after the last two
@@ -96,6 +97,7 @@ class Run(NamedTuple):
     stretch_y: float = 0.0
     since_x: float = 1.0  # stretch since the list of pairs was made
     since_y: float = 1.0
+    age: int = 0  # steps since then
     strain_x: float = 0.0  # strain since the run began
     strain_y: float = 0.0
     progress: float = 0.0  # fraction of the stress path
@@ -120,6 +122,7 @@ def advance(  # noqa: C901 (a kernel)
     damping: float,
     slack: float,
     reach: float,
+    lasts: int,
     steps: int,
     swings: Array,
     ledger: Array | None,
@@ -129,10 +132,10 @@ def advance(  # noqa: C901 (a kernel)
     `bounds` are the walls, which the servo moves, or a cell (see `bounds`); `dt` is the time
     step, at most this with FIRE. `damping` is the coefficient of local damping, or FIRE. `slack`
     is the distance that grains may move before the list is looked at again, and `reach` the one
-    over which a stretch draws two that are not in it together: the largest radius and the skin.
-    `steps` is the most that are taken. `swings` (2, 4) is the memory of `servo.oscillates`. A
-    `ledger` (see `energy`) is kept where it is given, which local damping allows. Returns (how
-    it ended, steps taken, run, sums).
+    over which a stretch draws two that are not in it together: the largest radius and the skin;
+    after `lasts` steps it is looked at anyway. `steps` is the most that are taken. `swings` (2, 4)
+    is the memory of `servo.oscillates`. A `ledger` (see `energy`) is kept where it is given, which
+    local damping allows. Returns (how it ended, steps taken, run, sums).
 
     Parameters
     ----------
@@ -149,6 +152,7 @@ def advance(  # noqa: C901 (a kernel)
     damping : coefficient of local damping, or FIRE
     slack : distance that grains may move before the list is looked at again
     reach : over which a stretch draws two grains that are in no pair: largest radius and skin
+    lasts : steps after which the list is looked at again
     steps : most that are taken
     swings : memory (2, 4), see `servo.oscillates`
     ledger : energies (13,), see `energy`, or None
@@ -220,7 +224,7 @@ def advance(  # noqa: C901 (a kernel)
         strain_y += stretch_y
         slack -= last * np.sqrt(fastest) + reach * max(abs(stretch_x), abs(stretch_y))
         taken += 1
-        if not slack >= 0.0:
+        if taken >= lasts or not slack >= 0.0:
             end = LIST_STALE
             break
     if end != LIST_STALE:  # the contacts have seen the last step
@@ -228,7 +232,8 @@ def advance(  # noqa: C901 (a kernel)
         ratio = unbalanced * sums.contacts / max(sums.force, 1e-300)
     run = Run(
         fire=fire, step=run.step + taken, dt=last, stretch_x=stretch_x, stretch_y=stretch_y,
-        since_x=since_x, since_y=since_y, strain_x=strain_x, strain_y=strain_y,
+        since_x=since_x, since_y=since_y, age=run.age + taken,
+        strain_x=strain_x, strain_y=strain_y,
         progress=progress, lead_x=lead_x, lead_y=lead_y, ratio=ratio, error=error,
     )  # fmt: skip
     return end, taken, run, sums
@@ -264,20 +269,28 @@ def forces(
     run = Run(Fire(TIME_STEP, START_MIXING, 0), step=step, dt=dt)
     found: Sums = advance(
         grains, pairs, bonds, joints, law, Walls(box), STANDING, NEVER, run, TIME_STEP, 0.0,
-        np.inf, 0.0, 0, np.zeros((2, 4)), None,
+        np.inf, 0.0, 0, 0, np.zeros((2, 4)), None,
     )[3]  # fmt: skip
     return found
 
 
 @dataclass
 class Assembly(ABC):
-    """Grains that are brought to rest; what bounds them, walls or a cell, is up to the kind."""
+    """Grains that are brought to rest; what bounds them, walls or a cell, is up to the kind.
 
+    Lists of pairs are as wide as pays, where no `skin` is given: a wide one lasts long, but holds
+    pairs that do not touch, which every step pays for. At v mean radii a step a list of width s
+    lasts s / 2v steps; a step costs least, list and width together, at s = √(2 v `LIST_COST`).
+    Forces do not depend on it.
+    """
+
+    LIST_COST: ClassVar[float] = 10.0  # of making a list, over what a step costs more per width
     grains: Grains
     box: Array  # (4,) xmin, xmax, ymin, ymax
     law: Law
     dt: float = TIME_STEP
-    skin: float = SKIN
+    skin: float | None = None  # of every list of pairs; None: what pays
+    width: float = field(init=False)  # skin of the list as it stands
     pairs: Pairs = field(init=False)
     run: Run = field(init=False)
     sums: Sums = field(init=False)
@@ -286,6 +299,7 @@ class Assembly(ABC):
 
     def __post_init__(self) -> None:
         self.run = Run(Fire(self.dt, START_MIXING, 0))
+        self.width = SKIN if self.skin is None else self.skin
         self.swings = np.zeros((2, 4))
         self._watched: Servo | None = None
 
@@ -314,15 +328,17 @@ class Assembly(ABC):
             ratio=np.inf,
             error=np.inf,
         )
-        reach = float(self.grains.radius.max()) + self.skin
-        slack = self._slack(reach)
+        slack = self._slack()
         if self._watched is not None and servo is not self._watched:
             self.swings = np.zeros((2, 4))  # one that goes on is watched on
         self._watched = servo
         left = steps
         while True:
+            lasts = left + 1  # longer than it is asked to
+            if self._fits_skin:
+                lasts = max(1, int(self.LIST_COST / self.width) - self.run.age)
             end, taken, self.run, self.sums = self._advance(
-                servo, stop, damping, slack, reach, left
+                servo, stop, damping, slack, self._reach(), lasts, left
             )
             self.steps += taken
             left -= taken
@@ -330,11 +346,15 @@ class Assembly(ABC):
                 raise ModelError(RAN_AWAY)
             if end != LIST_STALE:
                 return int(end)
-            slack = self._slack(reach)
-            if not slack >= 0.1 * self.skin:
+            slack = self._slack()
+            if taken >= lasts or not slack >= 0.1 * self.width:
+                if self._fits_skin:
+                    speed = max(0.5 * self.width - slack, 0.0) / self.run.age
+                    best = float(np.sqrt(2.0 * speed * self.LIST_COST))
+                    self.width = min(max(best, NARROWEST), WIDEST)
                 self._list_pairs()
-                self.run = self.run._replace(since_x=1.0, since_y=1.0)
-                slack = 0.5 * self.skin
+                self.run = self.run._replace(since_x=1.0, since_y=1.0, age=0)
+                slack = 0.5 * self.width
 
     def stand_still(self) -> None:
         """Take all motion away."""
@@ -343,7 +363,14 @@ class Assembly(ABC):
 
     @abstractmethod
     def _advance(
-        self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
+        self,
+        servo: Servo,
+        stop: Stop,
+        damping: float,
+        slack: float,
+        reach: float,
+        lasts: int,
+        steps: int,
     ) -> tuple[int, int, Run, Sums]:
         """Take steps, as `advance` does."""
 
@@ -351,12 +378,21 @@ class Assembly(ABC):
     def _list_pairs(self) -> None:
         """Make the list of pairs anew; what contacts, bonds and joints remember stays."""
 
-    def _slack(self, reach: float) -> float:
+    @property
+    def _fits_skin(self) -> bool:
+        """Whether lists are as wide as pays."""
+        return self.skin is None
+
+    def _reach(self) -> float:
+        """Over which a stretch draws two grains that are in no pair."""
+        return float(self.grains.radius.max()) + self.width
+
+    def _slack(self) -> float:
         """How far grains may still move before the list of pairs can miss a contact."""
         since_x, since_y = self.run.since_x, self.run.since_y
-        affine = reach * max(abs(since_x - 1.0), abs(since_y - 1.0))
+        affine = self._reach() * max(abs(since_x - 1.0), abs(since_y - 1.0))
         moved = largest_displacement(self.grains, self.pairs, since_x, since_y)
-        return 0.5 * self.skin - affine - float(moved)
+        return 0.5 * self.width - affine - float(moved)
 
 
 @dataclass
@@ -383,7 +419,7 @@ class Specimen(Assembly):
         super().__post_init__()
         if known is None:
             known = no_pairs(len(self.grains.x))
-        self.pairs = find_pairs(self.grains, self.skin, known)
+        self.pairs = find_pairs(self.grains, self.width, known)
         self.lines = Joints(traces, self.grains)
         self.joints = self.lines.join(self.grains, self.pairs, self.law, no_joints())
         self.first_box = self.box.copy()
@@ -441,14 +477,26 @@ class Specimen(Assembly):
         self.joints = self.lines.join(self.grains, self.pairs, self.law, known)
 
     def _advance(
-        self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
+        self,
+        servo: Servo,
+        stop: Stop,
+        damping: float,
+        slack: float,
+        reach: float,
+        lasts: int,
+        steps: int,
     ) -> tuple[int, int, Run, Sums]:
         ended: tuple[int, int, Run, Sums] = advance(
             self.grains, self.pairs, self.bonds, self.joints, self.law, Walls(self.box), servo,
             stop,
-            self.run, self.dt, damping, slack, reach, steps, self.swings, self.ledger,
+            self.run, self.dt, damping, slack, reach, lasts, steps, self.swings, self.ledger,
         )  # fmt: skip
         return ended
+
+    @property
+    def _fits_skin(self) -> bool:
+        """Whether lists are as wide as pays: not where bonds or joints say who is in them."""
+        return super()._fits_skin and self.bonds.kind == NO_BONDS and not self.lines.traces
 
     def _list_pairs(self) -> None:
         """As every assembly does.
@@ -456,13 +504,13 @@ class Specimen(Assembly):
         Raises ModelError where an intact bond was stretched beyond the reach of the list.
         """
         old, state = self.pairs.bond, self.bonds.state
-        self.pairs = find_pairs(self.grains, self.skin, self.pairs)
+        self.pairs = find_pairs(self.grains, self.width, self.pairs)
         listed = np.zeros(len(state), dtype=bool)
         listed[self.pairs.bond[self.pairs.bond >= 0]] = True
         old = old[old >= 0]
         if np.any(state[old[~listed[old]]] == INTACT):
             raise ModelError(
-                f"a bond was stretched by more than {self.skin:g} mean radii and did not break; "
+                f"a bond was stretched by more than {self.width:g} mean radii and did not break; "
                 "try a bond modulus that is higher against the strengths"
             )
         self.joints = self.lines.join(self.grains, self.pairs, self.law, self.joints)

@@ -16,7 +16,7 @@ import numpy as np
 
 from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import no_bonds
-from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums
+from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums, mean_size
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.joints import no_joints
 from demflow.model.mechanics.contact.neighbours import find_pairs, no_pairs, some_pairs
@@ -75,13 +75,8 @@ def fold_forces(grains: Grains, images: Images) -> float:
         grains.fx[i] += grains.fx[n + k]
         grains.fy[i] += grains.fy[n + k]
         grains.torque[i] += grains.torque[n + k]
-    total, loaded = 0.0, 0
-    for i in range(n):
-        size = np.sqrt(grains.fx[i] * grains.fx[i] + grains.fy[i] * grains.fy[i])
-        if size > 0.0:
-            total += size
-            loaded += 1
-    return total / max(loaded, 1)
+    found: float = mean_size(grains.fx, grains.fy, n)
+    return found
 
 
 class Period(NamedTuple):
@@ -160,6 +155,8 @@ class Cell(Assembly):
     meets another, or itself, twice. A servo's target is held at once, without a path.
     """
 
+    LIST_COST = 75.0  # images are made anew, too
+
     images: Images = field(init=False)
 
     def __post_init__(self) -> None:
@@ -181,12 +178,19 @@ class Cell(Assembly):
         return float(1.0 - np.pi * np.sum(self.grains.radius**2) / area)
 
     def _advance(
-        self, servo: Servo, stop: Stop, damping: float, slack: float, reach: float, steps: int
+        self,
+        servo: Servo,
+        stop: Stop,
+        damping: float,
+        slack: float,
+        reach: float,
+        lasts: int,
+        steps: int,
     ) -> tuple[int, int, Run, Sums]:
         period = Period(self.box, self.grains, self.images, NO_WALLS)
         ended: tuple[int, int, Run, Sums] = advance(
             self._all, self.pairs, no_bonds(), no_joints(), self.law, period, servo, stop,
-            self.run, self.dt, damping, slack, reach, steps, self.swings, None,
+            self.run, self.dt, damping, slack, reach, lasts, steps, self.swings, None,
         )  # fmt: skip
         return ended
 
@@ -224,7 +228,7 @@ class Cell(Assembly):
         grains, n = self.grains, len(self.grains.x)
         sides = self.box[[1, 3]] - self.box[[0, 2]]
         at = np.column_stack((grains.x, grains.y))
-        reach = 2.0 * float(grains.radius.max()) + self.skin
+        reach = 2.0 * float(grains.radius.max()) + self.width
         low, high = at.min(axis=0) - reach, at.max(axis=0) + reach
         owners, shifts = [], []
         for shift in SHIFTS:
@@ -239,7 +243,7 @@ class Cell(Assembly):
         # what moves is the first part of the same memory
         self.grains = Grains(*(part[:n] for part in self._all))
         place_images(self._all, self.images, self.box)
-        found = find_pairs(self._all, self.skin, no_pairs(n + len(owner)))
+        found = find_pairs(self._all, self.width, no_pairs(n + len(owner)))
         last = found.start[n]
         found.start[n:] = last  # images do not meet each other
         self.pairs = some_pairs(found, slice(last))

@@ -40,7 +40,6 @@ SHEAR_STIFFNESS = 1.0 / 2.5  # over the normal stiffness, while packing
 WALL_LAYER = 6.0  # mean radii from each wall in which porosity is not measured
 PATCH = 16  # grains strewn over each patch
 STRIP = 8.0  # mean radii, in which grains follow one another in memory
-SKIN = 0.6  # mean radii, of the list of pairs: grains that part go far
 RING = 12.0  # mean radii around a cell in which floaters are fitted to measure it
 RESTING_FRICTION = 10.0  # of the last phase
 APART = 1e-5  # mean contact force over k_n r below which strewn grains count as parted
@@ -147,7 +146,6 @@ def strewn(
         at_rest(x, y, radius, scaled_mass(radius, 1.0, TIME_STEP)),
         np.array([-half[0], half[0], -half[1], half[1]]),
         Linear(1.0, SHEAR_STIFFNESS, 0.0),
-        skin=SKIN,
     )
     apart = Stop(ratio=0.1, stress=np.inf, force=APART)
     if specimen.relax(STANDING, apart, damping=FIRE, steps=PARTING) != AT_REST:
@@ -208,5 +206,5 @@ def fit_floaters(specimen: Specimen) -> tuple[Array, Array]:
         grains.x, grains.y, grains.radius, specimen.box, a[touch], b[touch]
     )
     found = fit(grains.x, grains.y, grains.radius, counts < 2, specimen.box)
-    specimen.pairs = find_pairs(grains, specimen.skin, specimen.pairs)
+    specimen.pairs = find_pairs(grains, specimen.width, specimen.pairs)
     return found

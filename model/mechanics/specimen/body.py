@@ -74,7 +74,7 @@ def body_of(specimen: Specimen) -> Body:
             sums=specimen.sums,
             swings=specimen.swings,
             dt=specimen.dt,
-            skin=specimen.skin,
+            skin=specimen.width,
             steps=specimen.steps,
             rebuilds=specimen.rebuilds,
             ledger=none if specimen.ledger is None else specimen.ledger,
@@ -91,9 +91,7 @@ def specimen_of(body: Body, law: Law) -> Specimen:
     `law` is that of its contacts, which the parameters of a scene say.
     """
     own = _copied(body)
-    specimen = Specimen(
-        own.grains, own.box, law, dt=own.dt, skin=own.skin, bonds=own.bonds, known=own.pairs
-    )
+    specimen = Specimen(own.grains, own.box, law, dt=own.dt, bonds=own.bonds, known=own.pairs)
     traces = [
         Trace((row[0], row[1]), (row[2], row[3]), *row[4:]) for row in own.lines.traces.tolist()
     ]
@@ -101,6 +99,7 @@ def specimen_of(body: Body, law: Law) -> Specimen:
     lines.x, lines.y, lines.found = own.lines.x, own.lines.y, own.lines.found
     lines.made = bool(own.lines.made)
     specimen.pairs, specimen.joints, specimen.lines = own.pairs, own.joints, lines
+    specimen.width = own.skin
     specimen.first_box, specimen.run, specimen.sums = own.first_box, own.run, own.sums
     specimen.swings, specimen.steps, specimen.rebuilds = own.swings, own.steps, own.rebuilds
     if own.ledger.size:
