@@ -193,6 +193,27 @@ def test_workers_of_another_version_run_nothing(cluster, tmp_path, monkeypatch, 
     assert list(tmp_path.rglob("*.product")) == []
 
 
+def test_one_worker_of_another_version_keeps_all_from_running_though_it_answers_last(
+    cluster, tmp_path, monkeypatch
+):
+    call, greeted = RemotePool.call, []
+
+    async def late(pool, address, function, *given):
+        found = await call(pool, address, function, *given)
+        if function is worker.introduce:
+            greeted.append(address)
+            if len(greeted) == 2:
+                await asyncio.sleep(1.0)
+                found = {**found, "numpy": "0.0.1"}
+        return found
+
+    monkeypatch.setattr(RemotePool, "call", late)
+    path = toys.write_study(tmp_path, seeds=(1,), stresses=(), rates=RATES)
+    with pytest.raises(SchedulerError, match=r"has numpy 0\.0\.1 \(here .*give all the same"):
+        toys.run(path, tmp_path / "results", scheduler=cluster.address)
+    assert list(tmp_path.rglob("*.product")) == []
+
+
 def test_workers_without_the_stages_run_nothing(cluster, tmp_path, monkeypatch):
     address = cluster.address
     (tmp_path / "only_here.py").write_text("from tests.sweep.toy_stages import STAGES")
