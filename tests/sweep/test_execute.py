@@ -79,6 +79,16 @@ def test_no_other_case_is_lost(poisoned):
     assert (seen[-1].done, seen[-1].failed, seen[-1].left) == (7, 7, 0)
 
 
+def test_each_stage_tells_how_many_of_its_runs_have_their_product(poisoned):
+    _, finished, _, seen = poisoned
+    stored = [sum(stage.done for stage in one.stages) for one in seen]
+    assert stored == sorted(stored)
+    assert stored[-1] == finished.executed.computed
+    runs = {stage.stage: (stage.done, stage.runs) for stage in seen[-1].stages}
+    assert runs["pack"] == (1, 1)
+    assert runs["observe"] == (7, 14)
+
+
 def variant(path, rates, limit="2 s"):
     """The poisoned study with other rates and another limit, under a name of its own."""
     name = re.sub(r"\W", "", f"variant{len(rates)}{limit}")
