@@ -308,3 +308,54 @@ def test_numbers_written_in_a_call_compile_nothing_of_their_own(tmp_path, answer
     )
     # once inside the caller, once for Python
     assert answer(code, tmp_path, environment) == "26 6 ['caller', 'law', 'law']\n"
+
+
+MANY = """
+from typing import NamedTuple
+import numpy as np
+from demflow.model.compile import kernel
+
+Many = NamedTuple("Many", [(f"field{k}", np.ndarray) for k in range(20)])
+
+@kernel
+def law(many, k):
+    total = 0.0
+    for j in range(3):
+        total += many.field0[k] * many.field1[k] / (1.0 + many.field2[k]) + many.field3[k]
+        total -= min(many.field4[k], many.field5[k]) * np.sqrt(many.field6[k] + total * total)
+        if total > many.field7[k]:
+            return total
+        many.field8[k] = total
+    return total
+"""
+
+SUMS = """
+from demflow.model.compile import kernel
+from demflow.model.law import law
+
+@kernel
+def caller(many):
+    total = 0.0
+    for k in range(many.field0.size):
+        if many.field9[k] > 0.0:
+            total += law(many, k)
+        else:
+            total -= law(many, k)
+    return total
+"""
+
+
+def test_a_kernel_takes_in_what_it_calls(tmp_path, answer):
+    """No call is left that would hand on all arrays of a tuple."""
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "law.py").write_text(MANY)
+    (tmp_path / "demflow" / "model" / "caller.py").write_text(SUMS)
+    code = (
+        "import numpy as np\n"
+        "from demflow.model.caller import caller\n"
+        "from demflow.model.law import Many\n"
+        "caller(Many(*np.ones((20, 5))))\n"
+        "lines = next(iter(caller.inspect_llvm().values())).splitlines()\n"
+        "print(sum(' call ' in line and 'law' in line for line in lines))\n"
+    )
+    assert answer(code, tmp_path, environment) == "0\n"
