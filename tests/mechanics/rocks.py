@@ -20,7 +20,9 @@ def packed(
     kind: str = "random",
     ratio: float = 1.66,
     seed: int = 1,
+    specimen: bool | None = None,
 ) -> Packing:
+    """Grains that cover a region; a specimen has as many as are counted, without a margin."""
     return pack(
         region=REGIONS[region],
         count=count,
@@ -29,6 +31,7 @@ def packed(
         radius_ratio=ratio,
         porosity=porosity,
         seed=seed,
+        specimen=specimen,
     )
 
 

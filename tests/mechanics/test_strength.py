@@ -48,18 +48,18 @@ def to_failure(rock, cement, friction: float = 0.5, **test) -> StrengthTest:
     )
 
 
-GRAINS = 200
+GRAINS = 420
 
 
 @pytest.fixture(scope="module")
 def rock():
-    return packed(0.165, count=GRAINS)
+    return packed(0.165, count=GRAINS, specimen=True)
 
 
 @cache
 def outcome(cement: Bonds | None, **test) -> StrengthTest:
     """The rock tested to failure, once for all that look at it."""
-    return to_failure(packed(0.165, count=GRAINS), cement, **test)
+    return to_failure(packed(0.165, count=GRAINS, specimen=True), cement, **test)
 
 
 @pytest.mark.parametrize("confinement", ["walls", "membrane"])
@@ -252,10 +252,10 @@ def test_grains_that_do_not_bear_the_confining_stress_are_told(monkeypatch) -> N
     """With too few steps nothing is at rest, and no half-loaded specimen is tested."""
     monkeypatch.setattr("demflow.model.mechanics.loading.strength.HOLDING", 10)
     with pytest.raises(ModelError, match="does not hold the confining stress of 1e"):
-        to_failure(packed(0.165, count=GRAINS), bonds(), confining_stress=10e6)
+        to_failure(packed(0.165, count=GRAINS, specimen=True), bonds(), confining_stress=10e6)
     monkeypatch.setattr("demflow.model.mechanics.loading.strength.RELIEVING", 10)
     with pytest.raises(ModelError, match="relieved"):
-        to_failure(packed(0.165, count=GRAINS), bonds(), confining_stress=10e6)
+        to_failure(packed(0.165, count=GRAINS, specimen=True), bonds(), confining_stress=10e6)
 
 
 def test_cemented_joints_count_as_they_break(rock) -> None:
