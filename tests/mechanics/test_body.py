@@ -41,7 +41,7 @@ STEPS = 400
 
 def made(kind: str) -> Specimen:
     bonds, joints, _ = KINDS[kind]
-    packing, elastic = packed(0.17, count=150), None
+    packing, elastic = packed(0.17, count=200, specimen=True), None
     if kind in CONTACTS:
         elastic = elasticity(CONTACTS[kind], 2e10, 2.5, 0.5, 1e7)
     return build_specimen(packing, 2e10, 2.5, 0.5, bonds, joints, seed=3, elastic=elastic)

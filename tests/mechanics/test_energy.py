@@ -21,10 +21,10 @@ WEAK = Joint(
 )
 
 
-def loaded(**rock):
+def loaded(bonds=None, joints=()):
     """The balance of a rock that is led from its packed state to 2:1."""
-    bonds, joints = rock.get("bonds"), rock.get("joints", ())
-    specimen = build_specimen(packed(), KN, 2.5, 0.5, bonds, joints, 1)
+    rock = packed(specimen=True)
+    specimen = build_specimen(rock, KN, 2.5, 0.5, bonds, joints, 1)
     specimen.relax(hydrostatic(2e-4), NEVER, damping=0.5, steps=2000)  # joints are soft
     specimen.open_ledger()
     path = straight_path(2e-4, 5e-4, 2.5e-4)
