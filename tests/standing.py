@@ -1,7 +1,8 @@
 """Worker processes that cost little: forked from one that has imported all, or standing for long.
 
-To start one, as a user's run does, takes longer than most runs of the tests. How workers are
-started, killed and left is for the tests of the pools; these use it in none.
+To start one, as a user's run does, takes longer than most runs of the tests, and so does to make a
+certificate. How workers are started, killed and left, and whom they let in, is for the tests of the
+pools; these use it in none.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import gc
 import multiprocessing
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from multiprocessing import forkserver
 from typing import Any
 from unittest import mock
@@ -18,9 +20,12 @@ from unittest import mock
 from dask import config
 from distributed import LocalCluster
 
+from demflow.sweep.execution import certificate
 from demflow.sweep.execution.cluster import RemotePool
 from demflow.sweep.execution.local import ONE_THREAD, SETTINGS, LocalPool
 
+LOOP_POOL = "demflow.sweep.execution.loop.LocalPool"
+MADE, BEGIN = certificate.made, certificate.begin
 METHOD = "distributed.worker.multiprocessing-method"
 PRELOADED = ["distributed.nanny", "demflow.sweep.execution.worker", "tests.preloaded"]
 
@@ -40,7 +45,8 @@ def forked_workers() -> Iterator[None]:
 
     with (
         mock.patch.dict(SETTINGS, {METHOD: "forkserver"}),
-        mock.patch("demflow.sweep.execution.loop.LocalPool", Forked),
+        mock.patch(LOOP_POOL, Forked),
+        _certificates(_one_for_all, _nothing),
     ):
         yield
 
@@ -50,7 +56,8 @@ def spawned_workers() -> Iterator[None]:
     """Have local workers started as a user's are, while a `with` block runs."""
     with (
         mock.patch.dict(SETTINGS, {METHOD: "spawn"}),
-        mock.patch("demflow.sweep.execution.loop.LocalPool", LocalPool),
+        mock.patch(LOOP_POOL, LocalPool),
+        _certificates(MADE, BEGIN),
     ):
         yield
 
@@ -98,8 +105,24 @@ def runs_on(scheduler: str) -> Iterator[None]:
         def __init__(self, workers: int, memory: float | None = None):
             super().__init__(scheduler)
 
-    with mock.patch("demflow.sweep.execution.loop.LocalPool", Standing):
+    with mock.patch(LOOP_POOL, Standing), _certificates(MADE, _nothing):
         yield
+
+
+def _certificates(made: Callable[[], tuple[str, str]], begin: Callable[[], None]) -> Any:
+    """Have certificates made, and begun before they are asked for, in some way."""
+    return mock.patch.multiple(certificate, made=made, begin=begin)
+
+
+@cache
+def _one_for_all() -> tuple[str, str]:
+    """A certificate, made once."""
+    with _certificates(MADE, BEGIN):
+        return MADE()
+
+
+def _nothing() -> None:
+    """Begin nothing."""
 
 
 def _fork_server() -> int:
