@@ -63,7 +63,7 @@ def to_failure(rock, cement, *, friction=0.5, **test):
 
 @pytest.fixture(scope="module")
 def rock():
-    return packed(0.165, count=250, specimen=True)
+    return packed(0.165, count=150)
 
 
 def test_ten_to_one_is_borne_by_strong_bonds_alone(rock) -> None:

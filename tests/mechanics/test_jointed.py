@@ -23,7 +23,7 @@ BONDS = Bonds(kind="parallel", tensile_strength=157e6, shear_strength=157e6)
 def rock():
     return pack(
         region=Rectangle(0.034, 0.1), count=880, mean_radius=None, packing="random",
-        radius_ratio=1.66, porosity=0.16, seed=1, floaters="fit", specimen=True,
+        radius_ratio=1.66, porosity=0.16, seed=1, floaters="fit",
     )  # fmt: skip
 
 
