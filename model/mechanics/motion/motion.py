@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from demflow.model.compile import kernel
+from demflow.model.mechanics.contact.batches import BLOCK
 from demflow.model.mechanics.contact.energy import DAMPING
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.laws import local_damping
@@ -72,14 +73,23 @@ def fire_velocities(grains: Grains, fire: Fire, dt: float) -> Fire:
     fire : state of FIRE
     dt : largest time step
     """
+    n = grains.x.size
+    work, speed, pull = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
     power = speed2 = force2 = 0.0
-    for i in range(grains.x.size):
-        w, r = grains.inverse_mass[i], grains.radius[i]
-        fx, fy, t = grains.fx[i], grains.fy[i], grains.torque[i] / r
-        vx, vy, s = grains.vx[i], grains.vy[i], grains.spin[i] * r
-        power += fx * vx + fy * vy + t * s
-        speed2 += (vx * vx + vy * vy + s * s) / w
-        force2 += (fx * fx + fy * fy + t * t) * w
+    for begin in range(0, n, BLOCK):
+        count = min(BLOCK, n - begin)
+        for q in range(count):  # apart from the sums, so that several are taken at a time
+            k = np.uint64(begin + q)
+            r, w = grains.radius[k], grains.inverse_mass[k]
+            fx, fy, t = grains.fx[k], grains.fy[k], grains.torque[k] / r
+            vx, vy, s = grains.vx[k], grains.vy[k], grains.spin[k] * r
+            work[q] = fx * vx + fy * vy + t * s
+            speed[q] = (vx * vx + vy * vy + s * s) / w
+            pull[q] = (fx * fx + fy * fy + t * t) * w
+        for q in range(count):
+            power += work[q]
+            speed2 += speed[q]
+            force2 += pull[q]
     if power > 0.0:
         keep = 1.0 - fire.mixing
         turn = fire.mixing * np.sqrt(speed2 / force2)
