@@ -162,8 +162,9 @@ def fill_pairs(
     members : grains by their cells, (n,)
     old : the list before
     """
-    x, y = new.x, new.y
-    room = new.other.size
+    # indices without a sign need no look at whether they count from the end
+    x, y, other = new.x, new.y, new.other
+    room = other.size
     count = 0
     for i in range(x.size):
         new.start[i] = count
@@ -175,30 +176,30 @@ def fill_pairs(
             around += first[c * nx + right] - first[c * nx + left]
         if count + around > room:
             return -1
-        begin = count
+        begin, xi, yi, wide = count, x[i], y[i], radius[i]
         for c in range(bottom, top):
             for m in range(first[c * nx + left], first[c * nx + right]):
-                j = members[m]
-                dx, dy = x[j] - x[i], y[j] - y[i]
-                reach = radius[i] + radius[j] + skin
-                new.other[count] = j  # stays if it is near: no branch that is hard to foretell
-                count += int((j > i) & (dx * dx + dy * dy < reach * reach))
+                j = np.uint64(members[np.uint64(m)])
+                dx, dy = x[j] - xi, y[j] - yi
+                reach = wide + radius[j] + skin
+                other[np.uint64(count)] = j  # stays if it is near: no branch hard to foretell
+                count += int((j > np.uint64(i)) & (dx * dx + dy * dy < reach * reach))
         for m in range(begin + 1, count):  # insertion brings the pairs of i in the order of j
-            j, k = new.other[m], m
-            while k > begin and new.other[k - 1] > j:
-                new.other[k] = new.other[k - 1]
+            grain, k = other[np.uint64(m)], m
+            while k > begin and other[np.uint64(k - 1)] > grain:
+                other[np.uint64(k)] = other[np.uint64(k - 1)]
                 k -= 1
-            new.other[k] = j
-        q, end = old.start[i], old.start[i + 1]
-        for k in range(begin, count):
-            new.one[k] = i
-            while q < end and old.other[q] < new.other[k]:
-                q += 1
-            if q < end and old.other[q] == new.other[k]:
-                new.shear[k], new.bond[k] = old.shear[q], old.bond[q]
-                new.moment[k] = old.moment[q]
+            other[np.uint64(k)] = grain
+        q, end = np.uint64(old.start[i]), np.uint64(old.start[i + 1])
+        for p in range(np.uint64(begin), np.uint64(count)):
+            new.one[p] = i
+            while q < end and old.other[q] < other[p]:
+                q += np.uint64(1)
+            if q < end and old.other[q] == other[p]:
+                new.shear[p], new.bond[p] = old.shear[q], old.bond[q]
+                new.moment[p] = old.moment[q]
             else:
-                new.shear[k], new.bond[k], new.moment[k] = 0.0, -1, 0.0
+                new.shear[p], new.bond[p], new.moment[p] = 0.0, -1, 0.0
     new.start[x.size] = count
     return count
 

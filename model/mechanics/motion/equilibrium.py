@@ -284,7 +284,7 @@ class Assembly(ABC):
     Forces do not depend on it.
     """
 
-    LIST_COST: ClassVar[float] = 10.0  # of making a list, over what a step costs more per width
+    LIST_COST: ClassVar[float] = 7.0  # of making a list, over what a step costs more per width
     grains: Grains
     box: Array  # (4,) xmin, xmax, ymin, ymax
     law: Law
