@@ -11,6 +11,7 @@ from pathlib import Path
 NUMERICAL = ("numpy", "scipy", "numba", "qdldl")
 
 
+@cache
 def installed(name: str) -> str:
     """Return the version of a distribution, "not installed" where it has none."""
     try:

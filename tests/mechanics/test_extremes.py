@@ -187,13 +187,18 @@ def test_a_specimen_pulled_too_far_comes_apart_at_a_load(rock) -> None:
         Stress(xx=-1e6, yy=1e6)
 
 
+@pytest.fixture(scope="module")
+def loose(rock):
+    """The rock without bonds, tested to failure."""
+    return to_failure(rock, None, confining_stress=10e6)
+
+
 @pytest.mark.parametrize("kind", ["contact", "parallel"])
-def test_bonds_of_no_strength_leave_grains_as_they_are(rock, kind: str) -> None:
+def test_bonds_of_no_strength_leave_grains_as_they_are(rock, loose, kind: str) -> None:
     state = loaded(rock, 12e6, 10e6, cement=bonds(0.0, kind))
     assert int(state.broken_bonds) == len(rock.contact_a)
     assert not state.bonded.any()
     np.testing.assert_allclose(state.wall_stress, np.array([12, 12, 10, 10]) * 1e6, rtol=5e-3)
-    loose = to_failure(rock, None, confining_stress=10e6)
     found = to_failure(rock, bonds(0.0, kind), confining_stress=10e6)
     assert float(found.peak_strength) == pytest.approx(float(loose.peak_strength), rel=0.15)
     with pytest.raises(ModelError, match="comes apart at once, before it bears any tension; try"):
