@@ -136,7 +136,7 @@ def test_products_are_not_written_to_by_later_stages():
     for stage in ALONE:
         scene, products = made_by(stage)
         parents = [products.get(name) for name in stage.parents]
-        again = stage.run(*parents, **{k: part(scene) for k, part in stage.reads.items()})
+        again = stage.run(*parents, **stage.given(scene))
         before = named(products[stage.name])
         for name, value in named(again).items():
             np.testing.assert_array_equal(value, before[name], err_msg=f"{stage.name}.{name}")

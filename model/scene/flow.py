@@ -206,8 +206,8 @@ class Well:
         if self.held and self.wellbore_storage > 0.0:
             what = "a well at constant pressure takes nothing from its wellbore; leave it out"
             raise SceneError([("wellbore_storage", what)])
-        _check_schedule("schedule", self.schedule, "rates")
-        _check_schedule("pressure_schedule", self.pressure_schedule, "pressures")
+        check_schedule("schedule", self.schedule, "rates")
+        check_schedule("pressure_schedule", self.pressure_schedule, "pressures")
         if self.pressure_schedule is not None and self.pressure_schedule[0][0] > 0:
             what = "a well at a pressure has one from the start; begin at 0 s"
             raise SceneError([("pressure_schedule", what)])
@@ -272,7 +272,7 @@ class Inflow:
         if len(given) != 1:
             where = given[0] if given else ""
             raise SceneError([(where, f"give exactly one of {', '.join(ways)}")])
-        _check_schedule("schedule", self.schedule, "inflows")
+        check_schedule("schedule", self.schedule, "inflows")
 
     def changes(self, length: float) -> Changes:
         """Times (s) and new inflows (m³/s) of a side of a length (m)."""
@@ -294,7 +294,7 @@ class InflowSide:
     decides: ClassVar[bool] = False
 
 
-def _check_schedule(key: str, schedule: Changes | None, what: str) -> None:
+def check_schedule(key: str, schedule: Changes | None, what: str) -> None:
     """Raise `SceneError` for a schedule of some quantity that cannot be."""
     if schedule is None:
         return
