@@ -49,7 +49,9 @@ class _Part(_Linked):
     def _optimize_functions(self, module: Any) -> None:
         super()._optimize_functions(module)
         for function in module.functions:
-            if not function.is_declaration:
+            # what gathers the words of an error says of itself that it stays where it is
+            stays = any(b"noinline" in words for words in function.attributes)
+            if not function.is_declaration and not stays:
                 function.add_function_attribute("alwaysinline")
 
     def _optimize_final_module(self) -> None:

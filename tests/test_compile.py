@@ -292,6 +292,32 @@ def test_what_a_kernel_inside_another_raises_is_told_whole(tmp_path, answer):
         assert answer(code, tmp_path, environment) == "3.0\n('below zero', 7)\n"
 
 
+FILLING = """
+import numpy as np
+from demflow.model.compile import kernel
+
+@kernel
+def law(x):
+    y = np.empty(3)
+    y[:] = x
+    return 2 * y.sum()
+"""
+
+
+def test_what_numba_raises_inside_a_kernel_is_told_with_its_numbers(tmp_path, answer):
+    """It gathers them in a function of its own, which cannot be taken in."""
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "law.py").write_text(FILLING)
+    code = (
+        "import numpy as np; from demflow.model.caller import caller\n"
+        "print(caller(np.ones(3)))\n"
+        "try: caller(np.ones(2))\n"
+        "except ValueError as error: print('2' in str(error))\n"
+    )
+    for _ in range(2):
+        assert answer(code, tmp_path, environment) == "6.0\nTrue\n"
+
+
 def test_numbers_written_in_a_call_compile_nothing_of_their_own(tmp_path, answer):
     environment = small_model(tmp_path)
     (tmp_path / "demflow" / "model" / "caller.py").write_text(TWICE)
