@@ -435,7 +435,7 @@ STAGES: tuple[Stage, ...] = (
     Stage(
         name="strength",
         function="demflow.model.mechanics.loading.strength:strength",
-        version=9,
+        version=10,
         parents=("pack", "specimen"),
         reads={
             "normal_stiffness": lambda s: s.grains.contact_stiffness,

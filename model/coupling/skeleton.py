@@ -112,6 +112,7 @@ class Borne(NamedTuple):
 
 def skeleton_of(specimen: Specimen) -> tuple[Skeleton, Hold]:
     """The contacts of a specimen of linear contacts, as it stands."""
+    specimen.list_within(NEAR)
     grains, bonds, box, n = specimen.grains, specimen.bonds, specimen.box, len(specimen.grains.x)
     a, b = listed(specimen.pairs)
     bond = specimen.pairs.bond.astype(np.int64)

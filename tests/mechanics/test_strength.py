@@ -235,6 +235,14 @@ def test_confining_stress_is_held_by_a_slow_test(rock, confining: float) -> None
     assert abs(float(found.confining_stress_achieved) - confining) <= 0.3e6
 
 
+def test_cement_stands_at_every_contact_of_the_packing_also_where_it_opened(rock) -> None:
+    """Lists of pairs that are as narrow as pays do not hold them all."""
+    relieved, n = relieve(rock), len(rock.x)
+    packed_, found = (part.contact_a * n + part.contact_b for part in (rock, relieved))
+    assert np.isin(packed_, found).all()
+    assert np.count_nonzero(relieved.normal_force == 0.0) > 0.02 * len(packed_)
+
+
 def test_confining_stress_that_a_fast_test_loses_is_told(rock) -> None:
     """The walls lag behind grains that widen, the more the faster the platens are."""
     slow, fast = (outcome(bonds(), confining_stress=1e5, strain_step=step) for step in (1e-6, 2e-5))

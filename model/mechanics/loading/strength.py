@@ -25,6 +25,7 @@ from demflow.model.mechanics.motion.equilibrium import (
     FIRE,
     NEVER,
     OSCILLATES,
+    SKIN,
     Specimen,
     Stop,
 )
@@ -205,6 +206,7 @@ def relieve(packing: Packing) -> Packing:
             f"the test: unbalanced force {run.ratio:.1e} of the contact force, stresses off by "
             f"{run.error:.1%}; try another grains.seed or a higher grains.packing_friction"
         )
+    specimen.list_within(SKIN)
     unit = float(packing.radius.mean())
     grains, pairs = specimen.grains, specimen.pairs
     centre = _middle(packing.box)

@@ -352,9 +352,26 @@ class Assembly(ABC):
                     speed = max(0.5 * self.width - slack, 0.0) / self.run.age
                     best = float(np.sqrt(2.0 * speed * self.LIST_COST))
                     self.width = min(max(best, NARROWEST), WIDEST)
-                self._list_pairs()
-                self.run = self.run._replace(since_x=1.0, since_y=1.0, age=0)
+                self._begin_list()
                 slack = 0.5 * self.width
+
+    def list_within(self, reach: float) -> None:
+        """Have the list hold all pairs that are closer than a reach now, not only those that pay.
+
+        A list of a width that is given, or that bonds and joints hold, is left as it is.
+
+        Parameters
+        ----------
+        reach : gap between two grains, mean radii
+        """
+        if self._fits_skin and 2.0 * self._slack() < reach:
+            self.width = max(self.width, reach)
+            self._begin_list()
+
+    def _begin_list(self) -> None:
+        """Make the list of pairs anew, and count from there."""
+        self._list_pairs()
+        self.run = self.run._replace(since_x=1.0, since_y=1.0, age=0)
 
     def stand_still(self) -> None:
         """Take all motion away."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from demflow.model.mechanics.contact.grains import Array, Grains
 from demflow.model.mechanics.contact.neighbours import JOINED, Pairs, some_pairs
-from demflow.model.mechanics.motion.equilibrium import Specimen
+from demflow.model.mechanics.motion.equilibrium import SKIN, Specimen
 from demflow.model.mechanics.specimen.measures import listed, overlaps
 from demflow.model.mechanics.static.stiffness import TOUCHING, Contacts
 from demflow.model.mechanics.static.walls import Walls
@@ -104,6 +104,7 @@ def brakes(grains: Grains, contacts: Contacts, carries: Array) -> Array:
 
 def load_carrying(specimen: Specimen) -> Pairs:
     """The pairs that touch, are bonded, or may come to touch among grains that carry load."""
+    specimen.list_within(SKIN)
     pairs, grains = specimen.pairs, specimen.grains
     a, b = listed(pairs)
     carries = carrying(len(grains.x), contacts_of(specimen))
