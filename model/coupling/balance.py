@@ -20,7 +20,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array, csr_array, diags_array, vstack
+from scipy.sparse import coo_array, csr_array
 
 from demflow.model.coupling.matrix import StepMatrix
 from demflow.model.coupling.skeleton import (
@@ -403,21 +403,31 @@ def _besides(case: Case, found: Borne, moved: Flow, dt: float, keeps: Array) -> 
     s, c = case.skeleton, case.conduits
     m, d = case.push.shape
     (slips,) = np.nonzero(found.slips & (found.cross != 0.0))
-    friction = s.sliding[slips].T @ diags_array(found.cross[slips]) @ s.parting[slips]
+    friction = _scaled(s.sliding, slips, found.cross).T @ s.parting[slips]
     (lifts,) = np.nonzero(found.lifts)
     if len(lifts):
-        friction += s.parting[lifts].T @ diags_array(found.lifts[lifts]) @ s.sliding[lifts]
+        friction += _scaled(s.parting, lifts, found.lifts).T @ s.sliding[lifts]
     contact = np.append(c.contact, c.link_contact)
     slope = dt * np.append(moved.by_parting, moved.link_by_parting)
     (opens,) = np.nonzero((contact >= 0) & (slope != 0.0))
     ends = np.append(np.append(c.i, c.link)[opens], np.append(c.j, np.full(len(c.link), d))[opens])
-    gains = coo_array(  # a side stands behind the last pore
-        (np.append(-slope[opens], slope[opens]), (ends, np.tile(np.arange(len(opens)), 2))),
-        shape=(d + 1, len(opens)),
-    ).tocsr()[:d]
-    gains = diags_array((~keeps).astype(float)) @ gains @ s.parting[contact[opens]]
-    added = coo_array(vstack([-friction, gains]))
-    return coo_array((added.data, added.coords), shape=(m + d, m + d)).tocsr()
+    into = np.append(~keeps, False)[ends]  # a side stands behind the last pore
+    values, place = np.append(-slope[opens], slope[opens]), np.tile(np.arange(len(opens)), 2)
+    gains = coo_array((values[into], (ends[into], place[into])), shape=(d, len(opens)))
+    gains = gains.tocsr() @ s.parting[contact[opens]]
+    friction = csr_array(friction)
+    rows = np.append(friction.indptr, friction.nnz + gains.indptr[1:])
+    columns = np.append(friction.indices, gains.indices)
+    added = csr_array((np.append(-friction.data, gains.data), columns, rows), shape=(m + d, m + d))
+    added.sort_indices()
+    return added
+
+
+def _scaled(matrix: csr_array, which: Array, size: Array) -> csr_array:
+    """Some rows of a matrix, each times its size."""
+    rows = matrix[which]
+    rows.data *= np.repeat(size[which], np.diff(rows.indptr))
+    return rows
 
 
 def _boils(
