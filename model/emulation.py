@@ -12,19 +12,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from demflow.model.controls import Controls
-from demflow.model.families import Member, alike
+from demflow.model.families import Member
 from demflow.model.flow.solvers.affine import Share, terms_of
 from demflow.model.flow.solvers.contour import contour
 from demflow.model.flow.solvers.emulator import Emulated, build, emulated
 from demflow.model.flow.solvers.initial import none_at_all
 from demflow.model.flow.solvers.registry import Choice, Posed, flow, pose, responses_of
 from demflow.model.history import superposed
-from demflow.model.network.apertures import (
-    branch_apertures,
-    open_pipes,
-    stress_across,
-    with_branches,
-)
+from demflow.model.members import Rock, check, stacked
+from demflow.model.network.apertures import with_branches
 from demflow.model.observe import flowed, observe, smallest_pore
 from demflow.model.outcome import ModelError, OutOfMemory
 from demflow.model.products import (
@@ -49,46 +45,6 @@ MOST_CLASSES = 6
 ROUND_OFF = 1e-12
 
 EMULATED = "emulated"  # the solver's name in results
-
-
-class Rock(NamedTuple):
-    """What all members of a family share."""
-
-    network: Network
-    walked: Walk
-    stress: StressState | None
-    calibrated: Permeability | None
-    region: Region
-    matrix: Matrix
-    viscosity: float
-
-    def opened(self, fractures: tuple[Fracture, ...]) -> Apertures:
-        """The open pipes of one member."""
-        return open_pipes(
-            self.network,
-            self.walked,
-            self.stress,
-            self.calibrated,
-            region=self.region,
-            matrix=self.matrix,
-            fractures=fractures,
-            viscosity=self.viscosity,
-        )
-
-    def widths(self, members: list[tuple[Fracture, ...]]) -> Iterator[np.ndarray]:
-        """Hydraulic apertures of the branches of each member, (e,) m."""
-        lines = acting_lines(members[0], self.region)
-        of_line = np.array([line.fracture for line in lines], dtype=np.int64)
-        felt = stress_across(self.walked, self.stress, members[0], of_line)
-        for fractures in members:
-            given = [fracture.aperture or 0.0 for fracture in fractures]
-            if all(isinstance(one, float | int) for one in given):
-                own = np.array(given, dtype=float)[of_line]
-            else:
-                own = np.array(
-                    [line.aperture or 0.0 for line in acting_lines(fractures, self.region)]
-                )
-            yield branch_apertures(self.walked, felt, fractures, of_line, own)
 
 
 def emulator(
@@ -117,7 +73,7 @@ def emulator(
     Where the family has no such model, the product says why: apertures that are no few factors of
     one another, barriers whose worth goes with the aperture that they cut, too many outputs.
     """
-    _check(fractures, members)
+    check(fractures, members)
     rock = Rock(network, walked, stress, calibrated, region, matrix, viscosity)
     try:
         widths = np.array(list(rock.widths(list(members))))
@@ -176,7 +132,7 @@ def emulate(
     members : cases of the family
     """
     every = [one.fractures for one in members]
-    _check(fractures, tuple(every))
+    check(fractures, tuple(every))
     rock = Rock(network, walked, stress, calibrated, region, matrix, viscosity)
     family = _Family(rock, model, every[0], asked)
     state = observe(
@@ -190,7 +146,7 @@ def emulate(
         for numbers, answer in family.answers(every):
             for k in numbers:
                 found[k] = _seen(answer, members[k].controls, network, model, wanted)
-    return _stacked(
+    return stacked(
         [one if FAILURE in one else {**state, **one, FAILURE: np.asarray("")} for one in found]
     )
 
@@ -298,12 +254,6 @@ class _Family:
         return _Answer(opened, alone._replace(solver_reason=np.asarray(reason)))
 
 
-def _check(fractures: tuple[Any, ...], members: tuple[tuple[Fracture, ...], ...]) -> None:
-    """Raise ValueError where members are of another family."""
-    if any(alike(one) != fractures for one in members):
-        raise ValueError("the members of a family differ in more than how wide fractures are")
-
-
 def _pose(rock: Rock, apertures: Apertures, asked: dict[str, Any]) -> Posed:
     return pose(rock.network, apertures, region=rock.region, **asked)
 
@@ -382,14 +332,3 @@ def _none(why: str) -> Emulator:
             "largest_error": np.asarray(np.inf),
         }
     )
-
-
-def _stacked(found: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-    """The arrays of all members, one beside the other; NaN and no words where one has none."""
-    names = {name: array for one in found for name, array in one.items()}
-    stacked = {}
-    for name, like in names.items():
-        words = like.dtype.kind in "US"
-        nothing = np.asarray("") if words else np.full(like.shape, np.nan)
-        stacked[name] = np.array([one.get(name, nothing) for one in found])
-    return stacked

@@ -1,7 +1,8 @@
 """Cases that differ in how wide their fractures are and in what is done at the wells: families.
 
-One small model answers a whole family (`flow.solvers.emulator`). Here is what decides whether a
-scene belongs to one, what all of a family share, and what each brings; nothing is computed.
+One small model answers a family of transients (`flow.solvers.emulator`); permeabilities of a family
+are measured on one graph (`model.tensors`). Here is what decides whether a scene belongs to a
+family, what all of it share, and what each brings; nothing is computed.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from demflow.model.scene import Fracture, Scene
 
 # What an emulator can record: numbers of wells, sides and probes, but no field.
 EMULATED = frozenset({"well_pressure", "boundary_flow", "probe_pressure"})
+
+# What is measured of many cases on one graph.
+MEASURED = frozenset({"permeability", "bar_permeability", "periodic_permeability"})
 
 
 class Member(NamedTuple):
@@ -42,6 +46,19 @@ def may_be_emulated(scene: Scene) -> bool:
         and not scene.coupled
         and scene.rock == scene.region
         and not (held or others or scene.inflow_sides or scene.storativity)
+        and any(fracture.part == "trace" for fracture in scene.fractures)
+    )
+
+
+def may_be_measured(scene: Scene) -> bool:
+    """Whether a scene may be one of a family whose permeabilities are measured together.
+
+    Uncoupled rock with fractures that have an aperture, of which permeabilities are observed and
+    nothing else.
+    """
+    return (
+        MEASURED.issuperset(scene.observe)
+        and not scene.coupled
         and any(fracture.part == "trace" for fracture in scene.fractures)
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from demflow.model.flow.linear.factor import analyse, factorise, solve
+from demflow.model.flow.linear.factor import Symbolic, analyse, factorise, solve
 from demflow.model.network.apertures import uniform
 from demflow.model.network.connectivity import reached
 from demflow.model.network.domains import cut_pipes, cut_places
@@ -52,17 +52,7 @@ def permeability(network: Network, apertures: Apertures, *, viscosity: float) ->
     apertures : how far they are open, and traces with nodes of their own
     viscosity : of the fluid, Pa s
     """
-    network, apertures = _core(network, apertures)
-    joined = _joined(network, apertures, np.zeros(len(network.cut), dtype=bool))
-    a, b, g, place = joined.a, joined.b, joined.g, joined.place
-    held = joined.side[:, 0] >= 0
-    p = _steady(a, b, g, -place, held, _moved(joined, held))
-    drop = p[a] - p[b]
-    dissipation = viscosity * (drop.T @ (g[:, None] * drop))
-    values, axes = np.linalg.eigh(_spanned(network))
-    scale = (axes / np.sqrt(values)) @ axes.T
-    tensor = scale @ dissipation @ scale
-    return np.asarray(0.5 * (tensor + tensor.T))
+    return LinearRim(network, apertures).measured(apertures, viscosity=viscosity)
 
 
 def bar_permeability(
@@ -84,25 +74,7 @@ def bar_permeability(
     region : where the case lies, m
     viscosity : of the fluid, Pa s
     """
-    sides, found = region.sides, np.zeros(2)
-    shape = region.width / region.height
-    for axis, ends in enumerate((("left", "right"), ("bottom", "top"))):
-        first, second = (sides.index(name) for name in ends)
-        joined = _joined(network, apertures, ~np.isin(network.cut_side, (first, second)))
-        a, b, g = joined.a, joined.b, joined.g
-        begins = (joined.side == first).any(axis=1)
-        held = begins | (joined.side == second).any(axis=1)
-        if not reached(len(held), a, b, np.flatnonzero(begins))[held & ~begins].any():
-            continue
-        p = _steady(a, b, g, begins[:, None].astype(float), held, _moved(joined, held))[:, 0]
-        q = g * (p[a] - p[b])
-        found[axis] = viscosity * (q[begins[a]].sum() - q[begins[b]].sum())
-    if not found.any():
-        raise ModelError(
-            "no flow goes from side to side, so there is no bar_permeability; give the matrix an "
-            "aperture"
-        )
-    return np.asarray(found * (shape, 1.0 / shape))
+    return Bar(network, apertures, region=region).measured(apertures, viscosity=viscosity)
 
 
 def periodic_permeability(
@@ -126,18 +98,130 @@ def periodic_permeability(
     apertures : how far they are open, and traces with nodes of their own
     viscosity : of the fluid, Pa s
     """
-    network, apertures = _core(network, apertures)
-    joined = _joined(network, apertures, np.zeros(len(network.cut), dtype=bool))
-    _moved(joined, joined.side[:, 0] >= 0)  # refuses what does not conduct
-    number = _repeated(joined)
-    a, b, g = number[joined.a], number[joined.b], joined.g
-    fall = joined.place[joined.b] - joined.place[joined.a]  # of p = −x and p = −y
-    drop = fall + _periodic(a, b, g, fall)
-    dissipation = viscosity * (drop.T @ (g[:, None] * drop))
-    values, axes = np.linalg.eigh(_spanned(network))
-    scale = (axes / np.sqrt(values)) @ axes.T
-    tensor = scale @ dissipation @ scale
+    return Repeated(network, apertures).measured(apertures, viscosity=viscosity)
+
+
+class LinearRim:
+    """All of `permeability` but the numbers, found once for networks that differ in branches.
+
+    They differ in how well branches of traces conduct, and in nothing else; the same ones do.
+    """
+
+    def __init__(self, network: Network, apertures: Apertures) -> None:
+        """Of one of the networks. Raises `ModelError` where no pipe of them conducts."""
+        network, apertures = _core(network, apertures)
+        self.joined = _joined(network, apertures, np.zeros(len(network.cut), dtype=bool))
+        held = self.joined.side[:, 0] >= 0
+        self.balance = _balance(self.joined, held)
+        self.scale = _over_area(network)
+
+    def measured(self, apertures: Apertures, *, viscosity: float) -> np.ndarray:
+        """Permeability tensor (2, 2) in m² of any of the networks.
+
+        Parameters
+        ----------
+        apertures : how far it is open
+        viscosity : of the fluid, Pa s
+        """
+        joined, g = self.joined, self.joined.conductance(apertures)
+        p = self.balance.pressures(g, -joined.place)
+        return _dissipated(p[joined.a] - p[joined.b], g, viscosity, self.scale)
+
+
+class Bar:
+    """All of `bar_permeability` but the numbers, as `LinearRim` is of `permeability`."""
+
+    def __init__(self, network: Network, apertures: Apertures, *, region: Rectangle) -> None:
+        """Of one of the networks. Raises `ModelError` where they carry no flow either way."""
+        sides, self.shape = region.sides, region.width / region.height
+        self.ways: dict[int, tuple[_Joined, np.ndarray, _Balance]] = {}
+        for axis, ends in enumerate((("left", "right"), ("bottom", "top"))):
+            first, second = (sides.index(name) for name in ends)
+            joined = _joined(network, apertures, ~np.isin(network.cut_side, (first, second)))
+            begins = (joined.side == first).any(axis=1)
+            held = begins | (joined.side == second).any(axis=1)
+            found = reached(len(held), joined.a, joined.b, np.flatnonzero(begins))
+            if found[held & ~begins].any():
+                self.ways[axis] = joined, begins, _balance(joined, held)
+        if not self.ways:
+            raise ModelError(
+                "no flow goes from side to side, so there is no bar_permeability; give the matrix "
+                "an aperture"
+            )
+
+    def measured(self, apertures: Apertures, *, viscosity: float) -> np.ndarray:
+        """Permeability (2,) in m² of any of the networks along x and along y.
+
+        Parameters
+        ----------
+        apertures : how far it is open
+        viscosity : of the fluid, Pa s
+        """
+        found = np.zeros(2)
+        for axis, (joined, begins, balance) in self.ways.items():
+            a, b, g = joined.a, joined.b, joined.conductance(apertures)
+            p = balance.pressures(g, begins[:, None].astype(float))[:, 0]
+            q = g * (p[a] - p[b])
+            found[axis] = viscosity * (q[begins[a]].sum() - q[begins[b]].sum())
+        return np.asarray(found * (self.shape, 1.0 / self.shape))
+
+
+class Repeated:
+    """All of `periodic_permeability` but the numbers, as `LinearRim` is of `permeability`."""
+
+    def __init__(self, network: Network, apertures: Apertures) -> None:
+        """Of one of the networks. Raises `ModelError` where no pipe of them conducts."""
+        network, apertures = _core(network, apertures)
+        self.joined = joined = _joined(network, apertures, np.zeros(len(network.cut), dtype=bool))
+        _moved(joined, joined.side[:, 0] >= 0)  # refuses what does not conduct
+        number = _repeated(joined)
+        self.a, self.b = a, b = number[joined.a], number[joined.b]
+        self.fall = joined.place[joined.b] - joined.place[joined.a]  # of p = −x and p = −y
+        n = int(max(a.max(), b.max())) + 1
+        part = connected_components(coo_array((joined.g, (a, b)), (n, n)), directed=False)[1]
+        self.held = np.zeros(n, dtype=bool)
+        self.held[np.unique(part, return_index=True)[1]] = True  # each part has its own level
+        free = np.cumsum(~self.held) - 1
+        self.between = ~self.held[a] & ~self.held[b] & (a != b)
+        i, j = free[a[self.between]], free[b[self.between]]
+        self.symbolic = analyse(int((~self.held).sum()), i, j)
+        self.scale = _over_area(network)
+
+    def measured(self, apertures: Apertures, *, viscosity: float) -> np.ndarray:
+        """Permeability tensor (2, 2) in m² of any of the networks.
+
+        Parameters
+        ----------
+        apertures : how far it is open
+        viscosity : of the fluid, Pa s
+        """
+        g = self.joined.conductance(apertures)
+        return _dissipated(self.fall + self._periodic(g), g, viscosity, self.scale)
+
+    def _periodic(self, g: np.ndarray) -> np.ndarray:
+        """What a periodic pressure adds to the falls (e, 2) of connections so that all balance."""
+        a, b, held = self.a, self.b, self.held
+        loads = np.zeros((len(held), self.fall.shape[1]))
+        np.add.at(loads, a, -g[:, None] * self.fall)
+        np.add.at(loads, b, g[:, None] * self.fall)
+        excess = np.zeros(len(held))
+        np.add.at(excess, a, np.where(held[b], g, 0.0))
+        np.add.at(excess, b, np.where(held[a], g, 0.0))
+        p = np.zeros_like(loads)
+        p[~held] = solve(factorise(self.symbolic, g[self.between], excess[~held]), loads[~held])
+        return np.asarray(p[a] - p[b])
+
+
+def _dissipated(drop: np.ndarray, g: np.ndarray, viscosity: float, scale: np.ndarray) -> np.ndarray:
+    """Permeability (2, 2) by what connections dissipate at drops (e, 2) of unit gradients."""
+    tensor = scale @ (viscosity * (drop.T @ (g[:, None] * drop))) @ scale
     return np.asarray(0.5 * (tensor + tensor.T))
+
+
+def _over_area(network: Network) -> np.ndarray:
+    """What a dissipation is taken times from both sides: 1 / √ of the area that pipes span."""
+    values, axes = np.linalg.eigh(_spanned(network))
+    return np.asarray((axes / np.sqrt(values)) @ axes.T)
 
 
 def _repeated(joined: _Joined) -> np.ndarray:
@@ -160,27 +244,6 @@ def _repeated(joined: _Joined) -> np.ndarray:
     return found
 
 
-def _periodic(a: np.ndarray, b: np.ndarray, g: np.ndarray, fall: np.ndarray) -> np.ndarray:
-    """What a periodic pressure adds to the falls (e, 2) of connections so that all balance."""
-    n = int(max(a.max(), b.max())) + 1
-    part = connected_components(coo_array((g, (a, b)), (n, n)), directed=False)[1]
-    held = np.zeros(n, dtype=bool)
-    held[np.unique(part, return_index=True)[1]] = True  # each part has a level of its own
-    number = np.cumsum(~held) - 1
-    loads = np.zeros((n, fall.shape[1]))
-    np.add.at(loads, a, -g[:, None] * fall)
-    np.add.at(loads, b, g[:, None] * fall)
-    excess = np.zeros(n)
-    np.add.at(excess, a, np.where(held[b], g, 0.0))
-    np.add.at(excess, b, np.where(held[a], g, 0.0))
-    between = ~held[a] & ~held[b] & (a != b)
-    i, j = number[a[between]], number[b[between]]
-    p = np.zeros_like(loads)
-    factor = factorise(analyse(int((~held).sum()), i, j), g[between], excess[~held])
-    p[~held] = solve(factor, loads[~held])
-    return np.asarray(p[a] - p[b])
-
-
 class _Joined(NamedTuple):
     """What joins places: pores, then nodes of traces, then one on the rim for each cut pipe."""
 
@@ -189,6 +252,12 @@ class _Joined(NamedTuple):
     a: np.ndarray  # (e,)
     b: np.ndarray  # (e,)
     g: np.ndarray  # (e,) m³/(s Pa)
+    branch: np.ndarray  # branches of traces that are the last of the connections
+
+    def conductance(self, apertures: Apertures) -> np.ndarray:
+        """That of the connections (e,), m³/(s Pa), where branches conduct as in `apertures`."""
+        rest = self.g[: len(self.g) - len(self.branch)]
+        return np.concatenate([rest, apertures.branch_conductance[self.branch]])
 
 
 def _joined(network: Network, apertures: Apertures, sealed: np.ndarray) -> _Joined:
@@ -229,9 +298,10 @@ def _joined(network: Network, apertures: Apertures, sealed: np.ndarray) -> _Join
     b = np.append(b, d + apertures.branch_b)
     g = np.append(g, apertures.branch_conductance)
     conducts = (a != b) & (g > 0.0)
+    branch = np.flatnonzero(conducts[len(a) - len(apertures.branch_a) :])
     side = np.concatenate([np.full((d, 2), -1), apertures.node_side.reshape(m, 2), lies_on])
     place = np.concatenate([pores, nodes, at_rim])
-    return _Joined(place, side, a[conducts], b[conducts], g[conducts])
+    return _Joined(place, side, a[conducts], b[conducts], g[conducts], branch)
 
 
 def _moved(joined: _Joined, held: np.ndarray) -> np.ndarray:
@@ -271,31 +341,46 @@ def _core(network: Network, apertures: Apertures) -> tuple[Network, Apertures]:
     return cored, apertures._replace(cut_conductance=apertures.conductance[cut] / fraction)
 
 
-def _steady(
-    a: np.ndarray,
-    b: np.ndarray,
-    g: np.ndarray,
-    imposed: np.ndarray,
-    held: np.ndarray,
-    moved: np.ndarray,
-) -> np.ndarray:
-    """Pressures (n, k) that balance connections (a, b, g), as imposed at the places held."""
-    free = np.flatnonzero(moved & ~held)
+class _Balance(NamedTuple):
+    """Where pressures balance connections (e,), some places held: all of it but the numbers."""
+
+    symbolic: Symbolic
+    held: np.ndarray  # (n,)
+    free: np.ndarray  # (f,) places whose pressure is found
+    between: np.ndarray  # connections of free places
+    # from either end of the connections: free places, those connections, the held places beyond
+    links: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+
+    def pressures(self, g: np.ndarray, imposed: np.ndarray) -> np.ndarray:
+        """Pressures (n, k) that balance connections (e,), as imposed at the places held."""
+        count, several = len(self.free), range(imposed.shape[1])
+        excess, rhs = np.zeros(count), np.zeros((count, len(several)))
+        for node, link, beyond in self.links:
+            excess += np.bincount(node, weights=g[link], minlength=count)
+            for k in several:
+                load = g[link] * imposed[beyond, k]
+                rhs[:, k] += np.bincount(node, weights=load, minlength=count)
+        p = np.where(self.held[:, None], imposed, 0.0)
+        p[self.free] = solve(factorise(self.symbolic, g[self.between], excess), rhs)
+        return p
+
+
+def _balance(joined: _Joined, held: np.ndarray) -> _Balance:
+    """How what is joined balances where the places (n,) are held.
+
+    Raises `ModelError` where their pressures reach no other.
+    """
+    free = np.flatnonzero(_moved(joined, held) & ~held)
     number = np.full(len(held), -1)
     number[free] = np.arange(len(free))
-    between = (number[a] >= 0) & (number[b] >= 0)
-    excess, rhs = np.zeros(len(free)), np.zeros((len(free), imposed.shape[1]))
-    for one, other in ((a, b), (b, a)):
-        link = (number[one] >= 0) & held[other]
-        node = number[one[link]]
-        excess += np.bincount(node, weights=g[link], minlength=len(free))
-        for axis in range(imposed.shape[1]):
-            load = g[link] * imposed[other[link], axis]
-            rhs[:, axis] += np.bincount(node, weights=load, minlength=len(free))
-    i, j = number[a[between]], number[b[between]]
-    p = np.where(held[:, None], imposed, 0.0)
-    p[free] = solve(factorise(analyse(len(free), i, j), g[between], excess), rhs)
-    return p
+    i, j = number[joined.a], number[joined.b]
+    between = np.flatnonzero((i >= 0) & (j >= 0))
+    links = []
+    for one, other in ((i, joined.b), (j, joined.a)):
+        link = np.flatnonzero((one >= 0) & held[other])
+        links.append((one[link], link, other[link]))
+    symbolic = analyse(len(free), i[between], j[between])
+    return _Balance(symbolic, held, free, between, tuple(links))
 
 
 def _spanned(network: Network) -> np.ndarray:

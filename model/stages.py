@@ -26,7 +26,14 @@ from demflow.model.amounts import (
 )
 from demflow.model.controls import active_sources, controls_of, sites, step_decades
 from demflow.model.coupling.told import BreakingFluid, BreakingRock, march_legs, stretches
-from demflow.model.families import alike, asked, may_be_emulated, member, place
+from demflow.model.families import (
+    alike,
+    asked,
+    may_be_emulated,
+    may_be_measured,
+    member,
+    place,
+)
 from demflow.model.flow.equation.sites import WellPlace
 from demflow.model.flow.solvers.time_error import REFERENCE_METHOD, REFERENCE_TOLERANCE
 from demflow.model.products import (
@@ -134,10 +141,12 @@ class Stage:
     kept: Callable[[Scene], float] = _nothing
     held: Callable[[Scene], float] = _nothing
     # of a stage whose run serves several cases, a family, and which none wants by itself: whether
-    # a scene may be one of them; what each brings, as one of the `members` that it takes; where a
-    # case lies in its family, if a few are chosen that lie apart
+    # a scene may be one of them, the same function of all stages that serve it; what each brings,
+    # as one of the `members` that it takes, and how many a run takes at most; where a case lies in
+    # its family, if a few are chosen that lie apart
     family: Callable[[Scene], bool] | None = None
     brings: Callable[[Scene], Any] | None = None
+    block: int = 512
     place: Callable[[Scene], tuple[float, ...]] | None = None
     # why what it returned stops early, "" where it does not; ModelError where it is no result
     check: Callable[[Any], str] | None = None
@@ -337,13 +346,14 @@ _FLOW_READS: Mapping[str, Callable[[Scene], Any]] = {
     "fine": lambda s: True if any(w.decides for w in s.wells) else None,
 }
 
-_FAMILY_READS: Mapping[str, Callable[[Scene], Any]] = {
+_ROCK_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.rock,
     "matrix": lambda s: s.pipes,
     "viscosity": _viscosity,
     "fractures": lambda s: alike(s.fractures),
-    "asked": asked,
 }
+
+_FAMILY_READS: Mapping[str, Callable[[Scene], Any]] = {**_ROCK_READS, "asked": asked}
 
 _PACK_READS: Mapping[str, Callable[[Scene], Any]] = {
     "region": lambda s: s.region,
@@ -678,6 +688,19 @@ STAGES: tuple[Stage, ...] = (
         held=held_by_observe,
         family=may_be_emulated,
         brings=member,
+    ),
+    Stage(
+        name="tensors",
+        function="demflow.model.tensors:tensors",
+        version=1,
+        parents=("pack", "stress", "network", "walk", "calibrate"),
+        reads={**_ROCK_READS, "wanted": lambda s: s.observe},
+        wanted=_never,
+        product=dict,
+        manner=_traces,
+        family=may_be_measured,
+        brings=lambda s: s.fractures,
+        block=64,
     ),
     Stage(
         name="observe",

@@ -40,10 +40,10 @@ MODEL = (
     ("model.permeability", "model.fracture_network", "model.controls"),
     ("model.coupling",),
     ("model.amounts", "model.families"),
-    ("model.limited",),
+    ("model.limited", "model.members"),
     ("model.history",),
     ("model.observe", "model.maps"),
-    ("model.emulation",),
+    ("model.emulation", "model.tensors"),
     ("model.stages",),
 )
 # The study and its cases are read without the model's machinery; what runs comes after, and

@@ -244,10 +244,11 @@ def _meet(start: Array, end: Array, i: Array, j: Array, snap: float) -> Meetings
         t = (gap[:, 0] * s[:, 1] - gap[:, 1] * s[:, 0]) / turn
         u = (gap[:, 0] * r[:, 1] - gap[:, 1] * r[:, 0]) / turn
         crosses = ~any_touch & (t > 0) & (t < 1) & (u > 0) & (u < 1)
+        at = t * length_i, u * length_j
     return _joined(
         [
             Meetings(i[mask], j[mask], a[mask], b[mask], overlap[mask])
-            for mask, a, b in (*touches, (crosses, t * length_i, u * length_j))
+            for mask, a, b in (*touches, (crosses, *at))
         ]
     )
 

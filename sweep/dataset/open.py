@@ -142,7 +142,7 @@ def case_of(
 
 
 # stages that a case has of its own where no family takes their place
-_ITS_OWN = ("open", "flow", "observe")
+_ITS_OWN = ("open", "measure", "measure_bar", "measure_periodic", "flow", "observe")
 
 
 def values_of(folder: Path, settings: Sequence[str]) -> dict[str, Any]:

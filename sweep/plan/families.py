@@ -25,18 +25,20 @@ if TYPE_CHECKING:
 # Different members from which on a family is worth its model, that takes as long as some thirty.
 LEAST = 64
 CHOSEN = 24  # members that a model is made from
-BLOCK = 512  # members that one run serves
 
 
 @dataclass
 class _Family:
     """Cases that agree on what the shared stages read, and on their parents."""
 
+    shared: list[int]  # rows of the stages that may serve it
     reads: list[dict[str, bytes]]  # of each shared stage
     kinds: list[CostClass]
     cases: list[int] = field(default_factory=list)
     brings: list[list[bytes]] = field(default_factory=list)  # of each shared stage, digests
     places: list[tuple[float, ...]] = field(default_factory=list)
+    # where they lie or, of stages without a place, what they bring: of different ones
+    differ: set[Any] = field(default_factory=set)
 
 
 class Families:
@@ -49,7 +51,11 @@ class Families:
         readers: Sequence[Callable[[Any], dict[str, bytes]]],
     ) -> None:
         self.stages, self.parent_rows, self.readers = stages, parent_rows, readers
-        self.shared = [k for k, stage in enumerate(stages) if stage.family is not None]
+        # rows of stages that serve the same families, by what tells whose these are
+        self.chains: dict[Callable[[Any], bool], list[int]] = {}
+        for k, stage in enumerate(stages):
+            if stage.family is not None:
+                self.chains.setdefault(stage.family, []).append(k)
         self.found: dict[bytes, _Family] = {}
 
     def note(self, case: int, scene: Scene, own: np.ndarray) -> None:
@@ -61,24 +67,25 @@ class Families:
         scene : of the case
         own : identity of its own part
         """
-        asked = [self.stages[k].family for k in self.shared]
-        if not asked or not all(may and may(scene) for may in asked):
+        shared = next((rows for may, rows in self.chains.items() if may(scene)), None)
+        if shared is None:
             return
-        reads = [dict(self.readers[k](scene)) for k in self.shared]
-        parents = [int(own[p]) for k in self.shared for p in self.parent_rows[k]]
-        key = hashlib.sha256(encode(parents))
+        reads = [dict(self.readers[k](scene)) for k in shared]
+        parents = [int(own[p]) for k in shared for p in self.parent_rows[k]]
+        key = hashlib.sha256(encode([*shared, *parents]))
         for one in reads:
             for name in sorted(one):
                 key.update(encode(name) + one[name])
         family = self.found.get(key.digest())
         if family is None:
-            kinds = [CostClass.of(self.stages[k], scene) for k in self.shared]
-            family = self.found[key.digest()] = _Family(reads, kinds)
+            kinds = [CostClass.of(self.stages[k], scene) for k in shared]
+            family = self.found[key.digest()] = _Family(shared, reads, kinds)
         family.cases.append(case)
-        brings = [self.stages[k].brings for k in self.shared]
+        brings = [self.stages[k].brings for k in shared]
         family.brings.append([hashlib.sha256(encode(of(scene))).digest() for of in brings if of])
-        place = next(self.stages[k].place for k in self.shared)
+        place = self.stages[shared[0]].place
         family.places.append(place(scene) if place else ())
+        family.differ.add(family.places[-1] if place else family.brings[-1][-1])
 
     def joined(
         self, runs: list[StageRun], cases: np.ndarray
@@ -87,7 +94,7 @@ class Families:
 
         The third is `Plan.member`.
         """
-        large = [f for f in self.found.values() if len(set(f.places)) >= LEAST]
+        large = [f for f in self.found.values() if len(f.differ) >= LEAST]
         if not large:
             return runs, cases, np.empty(0, dtype=np.int32)
         member = np.full(len(cases), -1, dtype=np.int32)
@@ -100,12 +107,13 @@ class Families:
     ) -> None:
         """Add the runs of a family, and let its cases be served by them (in place)."""
         every = np.array(family.cases)
-        for number, k in enumerate(self.shared):
+        for number, k in enumerate(family.shared):
+            most = self.stages[k].block
             if self.stages[k].place is not None:
                 blocks = [_apart(family.places, CHOSEN)]
             else:
                 blocks = [
-                    list(range(b, min(b + BLOCK, len(every)))) for b in range(0, len(every), BLOCK)
+                    list(range(b, min(b + most, len(every)))) for b in range(0, len(every), most)
                 ]
             for block in blocks:
                 first = every[block[0]]
@@ -128,11 +136,11 @@ class Families:
                 cases[serves, k] = len(runs) - 1
                 if self.stages[k].place is None:
                     member[serves] = np.arange(len(block))
-        self._leave(every, runs, cases)
+        self._leave(every, family.shared[-1], cases)
 
-    def _leave(self, every: np.ndarray, runs: list[StageRun], cases: np.ndarray) -> None:
+    def _leave(self, every: np.ndarray, last: int, cases: np.ndarray) -> None:
         """Take out of cases (in place) what the run that serves them does not go back to."""
-        kept = {self.shared[-1]}
+        kept = {last}
         for row in range(len(self.stages) - 1, -1, -1):
             if row in kept:
                 kept.update(self.parent_rows[row])

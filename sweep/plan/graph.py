@@ -75,15 +75,17 @@ class Plan:
         return next(k for k, stage in enumerate(self.stages) if stage.observed)
 
     @cached_property
-    def served(self) -> int:
-        """The row of the table whose runs serve the members of a family; −1 without one."""
-        rows = [k for k, stage in enumerate(self.stages) if stage.family and not stage.place]
-        return rows[-1] if rows else -1
+    def serving(self) -> list[int]:
+        """The rows of the table whose runs serve the members of families."""
+        return [k for k, stage in enumerate(self.stages) if stage.family and not stage.place]
 
     def result_of(self, case: int) -> tuple[int, int]:
         """The run whose product is what is asked of a case; its place in it, −1 where all is."""
         member = int(self.member[case]) if len(self.member) else -1
-        return int(self.cases[case, self.observed if member < 0 else self.served]), member
+        run = (
+            self.cases[case, self.observed] if member < 0 else self.cases[case, self.serving].max()
+        )
+        return int(run), member
 
     @cached_property
     def marches(self) -> list[int]:

@@ -9,12 +9,27 @@ import numpy as np
 import pytest
 
 from demflow import sweep
-from demflow.model.scene import Circle, Fluid, FractureSet, Grains, Matrix, Scene, Solver, Well
+from demflow.model.scene import (
+    Bonds,
+    Circle,
+    Fluid,
+    FractureSet,
+    Grains,
+    Matrix,
+    Scene,
+    Solver,
+    Stress,
+    Well,
+)
 from demflow.model.stages import STAGES
 from demflow.sweep.engine import run_study
 from demflow.sweep.plan import families
 from demflow.sweep.plan.graph import Plan, make_plan
+from demflow.sweep.store.products import Store
 
+STIFF = Grains(count=150, porosity=0.17, seed=2, modulus=20e9, stiffness_ratio=2.5)
+CEMENT = Bonds("contact", 5e8, 5e8)
+STRONG = {"grains": STIFF, "bonds": CEMENT}
 WIDTHS = np.geomspace(5e-5, 5e-4, 9)
 STUDY = """
 study: widths
@@ -58,6 +73,12 @@ def scene(one: float, two: float, rate: float = 1e-6, **changed) -> Scene:
     return Scene(**{**told, **changed})
 
 
+def measured(one: float, two: float, **changed) -> Scene:
+    """A scene of which permeabilities are observed and nothing else."""
+    none = {"wells": (), "boundaries": (), "initial_pressure": None, "times": ()}
+    return scene(one, two, **{**none, "observe": ("permeability",), **changed})
+
+
 def grid(**changed) -> list[Scene]:
     return [scene(*at, **changed) for at in itertools.product(WIDTHS, WIDTHS, (1e-6, 2e-6))]
 
@@ -71,7 +92,7 @@ def test_a_large_family_is_served_by_a_few_runs():
     counts = dict(zip((s.name for s in STAGES), plan.counts(), strict=True))
     assert counts["flow"] == counts["open"] == counts["observe"] == 0
     assert counts["emulator"] == 1
-    assert counts["emulate"] == -(-2 * 81 // families.BLOCK)
+    assert counts["emulate"] == -(-2 * 81 // 512)
     assert names(plan, 100) == ["pack", "network", "walk", "emulator", "emulate"]
     served = [
         (plan.runs[run].members[at], case)
@@ -111,6 +132,40 @@ def test_who_asks_for_more_is_solved_case_by_case(changed):
     plan = make_plan(grid(**changed), STAGES)
     assert not len(plan.member)
     assert "flow" in names(plan, 0)
+
+
+def test_permeabilities_of_a_large_family_are_measured_together():
+    """Blocks of 64 cases, beside another family and cases that want more."""
+    told = [measured(*at) for at in itertools.product(WIDTHS, WIDTHS)]
+    more = scene(1e-4, 1e-4, observe=("permeability", "well_pressure"))
+    plan = make_plan(
+        [*told, *grid(), more, measured(1e-4, 1e-4, matrix=Matrix(aperture=1e-5))], STAGES
+    )
+    counts = dict(zip((s.name for s in STAGES), plan.counts(), strict=True))
+    assert counts["tensors"] == 2
+    assert counts["emulator"] == 1
+    assert counts["open"] == counts["measure"] == counts["observe"] == 2
+    assert counts["flow"] == 1
+    assert names(plan, 70) == ["pack", "network", "walk", "tensors"]
+    assert names(plan, 81 + 70) == ["pack", "network", "walk", "emulator", "emulate"]
+    assert plan.member[-2:].tolist() == [-1, -1]
+    for case in range(len(plan.cases) - 2):
+        run, at = plan.result_of(case)
+        assert plan.runs[run].members[at] == case
+    alone = make_plan(told[:63], STAGES)
+    assert not len(alone.member)
+    assert "measure" in names(alone, 0)
+
+
+@pytest.mark.parametrize("axis", ["fluid", "stress"])
+def test_cases_of_other_rocks_or_fluids_are_measured_alone(axis):
+    """Members differ in apertures: of those that differ otherwise each is a family of its own."""
+    changes = {
+        "fluid": [{"fluid": Fluid(1e-3 * k, 1e9)} for k in range(1, 81)],
+        "stress": [{"stress": Stress(xx=1e6 * k, yy=1e6), **STRONG} for k in range(1, 81)],
+    }
+    plan = make_plan([measured(1e-4, 1e-4, **one) for one in changes[axis]], STAGES)
+    assert not len(plan.member)
 
 
 def test_few_members_are_solved_case_by_case():
@@ -172,11 +227,61 @@ def test_a_study_of_a_family_gives_what_its_cases_give(tmp_path, monkeypatch):
     np.testing.assert_array_equal(cases[0].branch_aperture, cases[1].branch_aperture)
 
 
+MEASURED = """
+study: tensors
+scene:
+  region: {shape: rectangle, width: 5 m, height: 4 m}
+  grains: {count: 150, porosity: 0.17, seed: 2}
+  matrix: {aperture: 20 um}
+  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}
+  fractures:
+    one: {kind: set, angle: 65 deg, length: 2 m, spacing: 1 m, aperture: 100 um}
+    two: {kind: trace, from: [-2 m, 0.1 m], to: [1 m, 0.4 m], aperture: 100 um}
+vary:
+  one: {parameter: fractures.one.aperture, from: 50 um, to: 300 um, count: 9, spacing: log}
+  two: {parameter: fractures.two.aperture, from: 50 um, to: 300 um, count: 8, spacing: log}
+observe: [permeability, bar_permeability, periodic_permeability]
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
+def test_a_study_of_tensors_gives_what_its_cases_give(tmp_path, monkeypatch):
+    """To the bit; a block that is lost is made again alone, cases open, and nothing is left."""
+    path = tmp_path / "tensors.yaml"
+    path.write_text(MEASURED)
+    results = tmp_path / "results"
+    done = run_study(path, results=results, workers=1, figures=False)
+    assert done.failed == 0
+    found = sweep.open_results(done.folder).load()
+    first = sweep.open_case(done.folder, one=float(found.one[3]), two=float(found.two[2]))
+    store = Store.open(results / "store", create=False)
+    blocks = [p for p in store.files() if store.meta(p.stem)["stage"] == "tensors"]
+    assert len(blocks) == 2
+    blocks[0].unlink()
+    again = run_study(path, results=results, workers=1, figures=False)
+    assert again.executed is not None
+    assert again.executed.computed == 1
+    assert run_study(path, results=results, figures=False).executed is None
+    monkeypatch.setattr(families, "LEAST", 1000)
+    alone = run_study(path, results=tmp_path / "alone", workers=1, figures=False)
+    each = sweep.open_results(alone.folder).load()
+    for name in each.data_vars:
+        if not name.endswith("_time"):
+            np.testing.assert_array_equal(found[name], each[name], err_msg=name)
+    assert set(found.data_vars) == set(each.data_vars)
+    other = sweep.open_case(alone.folder, one=float(each.one[3]), two=float(each.two[2]))
+    for name in other.data_vars:
+        np.testing.assert_array_equal(first[name], other[name], err_msg=name)
+    assert set(first.data_vars) == set(other.data_vars)
+
+
 def test_scenes_of_a_family_are_no_other_scenes_alone():
-    """By itself no scene wants the stages of a family."""
+    """By itself no scene wants the stages of a family, and none is one of two."""
     for stage in STAGES:
         if stage.family is not None:
-            assert not stage.wanted(scene(1e-4, 1e-4))
-            assert stage.family(scene(1e-4, 1e-4))
+            for one in (scene(1e-4, 1e-4), measured(1e-4, 1e-4)):
+                assert not stage.wanted(one)
+                assert stage.family(one) == ((stage.name == "tensors") == (one.wells == ()))
     held = dataclasses.replace(scene(1e-4, 1e-4), boundaries=(("outer", 9e6),))
     assert not any(stage.family(held) for stage in STAGES if stage.family is not None)
