@@ -9,6 +9,7 @@ it the first run is held against the later one.
 from __future__ import annotations
 
 import os
+import shutil
 from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
@@ -48,6 +49,7 @@ def run() -> Result:
 def measured(root: Path) -> Took:
     """What both runs take with the build that lies at `root`."""
     folder, took = results_folder() / f"cold_{root.name}", []
+    shutil.rmtree(folder, ignore_errors=True)  # of the round before
     own = cache.variables(folder)
     own["NUMBA_CACHE_DIR"] = str(folder / "kernels")
     study = str(root / "studies" / "quickstart.yaml")

@@ -1,11 +1,15 @@
-"""Krylov is several times faster than the implicit solver at the same true error of 1e-4."""
+"""Krylov is several times faster than the implicit solver at the same true error of 1e-4.
+
+It was 12 times at 100,000 domains before the stages of an implicit step were taken in one kernel,
+which saves that solver 29 % there.
+"""
 
 from __future__ import annotations
 
 from tests.benchmarks.result import Result
 from tests.diffusion import cheapest, reference, well_problem
 
-BOUNDS = {20_000: 5.0, 100_000: 10.0}
+BOUNDS = {20_000: 5.0, 100_000: 8.0}
 ERROR = 1e-4
 LADDER = (1e-2, 3e-3, 1e-3, 3e-4, 1e-4)
 
