@@ -26,7 +26,7 @@ quick: .venv/ready  ## laws and units: what answers within a minute
 	$(BIN)/python -m pytest -n auto --dist worksteal -m "not slow"
 
 coverage: .venv/ready  ## all tests, and the lines of demflow that none of them reaches
-	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal --cov=demflow --cov-report=term:skip-covered
+	$(BIN)/python -m pytest -n $(PROCESSES) --dist worksteal --cov=model --cov=sweep --cov-report=term:skip-covered
 
 docs: .venv/ready  ## the reference pages anew, and all pages as HTML in build/docs
 	$(BIN)/python docs/reference.py
