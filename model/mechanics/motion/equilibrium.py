@@ -284,7 +284,8 @@ class Assembly(ABC):
     Forces do not depend on it.
     """
 
-    LIST_COST: ClassVar[float] = 7.0  # of making a list, over what a step costs more per width
+    # of making a list, over what a step costs more per width: mean radii times steps
+    LIST_COST: ClassVar[float] = 7.0
     grains: Grains
     box: Array  # (4,) xmin, xmax, ymin, ymax
     law: Law
@@ -338,7 +339,7 @@ class Assembly(ABC):
             if self._fits_skin:
                 lasts = max(1, int(self.LIST_COST / self.width) - self.run.age)
             end, taken, self.run, self.sums = self._advance(
-                servo, stop, damping, slack, self._reach(), lasts, left
+                servo, stop, damping, slack, lasts, left
             )
             self.steps += taken
             left -= taken
@@ -380,14 +381,7 @@ class Assembly(ABC):
 
     @abstractmethod
     def _advance(
-        self,
-        servo: Servo,
-        stop: Stop,
-        damping: float,
-        slack: float,
-        reach: float,
-        lasts: int,
-        steps: int,
+        self, servo: Servo, stop: Stop, damping: float, slack: float, lasts: int, steps: int
     ) -> tuple[int, int, Run, Sums]:
         """Take steps, as `advance` does."""
 
@@ -494,19 +488,13 @@ class Specimen(Assembly):
         self.joints = self.lines.join(self.grains, self.pairs, self.law, known)
 
     def _advance(
-        self,
-        servo: Servo,
-        stop: Stop,
-        damping: float,
-        slack: float,
-        reach: float,
-        lasts: int,
-        steps: int,
+        self, servo: Servo, stop: Stop, damping: float, slack: float, lasts: int, steps: int
     ) -> tuple[int, int, Run, Sums]:
         ended: tuple[int, int, Run, Sums] = advance(
             self.grains, self.pairs, self.bonds, self.joints, self.law, Walls(self.box), servo,
             stop,
-            self.run, self.dt, damping, slack, reach, lasts, steps, self.swings, self.ledger,
+            self.run, self.dt, damping, slack, self._reach(), lasts, steps, self.swings,
+            self.ledger,
         )  # fmt: skip
         return ended
 

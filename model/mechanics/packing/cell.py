@@ -178,19 +178,12 @@ class Cell(Assembly):
         return float(1.0 - np.pi * np.sum(self.grains.radius**2) / area)
 
     def _advance(
-        self,
-        servo: Servo,
-        stop: Stop,
-        damping: float,
-        slack: float,
-        reach: float,
-        lasts: int,
-        steps: int,
+        self, servo: Servo, stop: Stop, damping: float, slack: float, lasts: int, steps: int
     ) -> tuple[int, int, Run, Sums]:
         period = Period(self.box, self.grains, self.images, NO_WALLS)
         ended: tuple[int, int, Run, Sums] = advance(
             self._all, self.pairs, no_bonds(), no_joints(), self.law, period, servo, stop,
-            self.run, self.dt, damping, slack, reach, lasts, steps, self.swings, None,
+            self.run, self.dt, damping, slack, self._reach(), lasts, steps, self.swings, None,
         )  # fmt: skip
         return ended
 
