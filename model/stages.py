@@ -27,6 +27,7 @@ from demflow.model.amounts import (
 from demflow.model.controls import active_sources, controls_of, sites, step_decades
 from demflow.model.coupling.told import BreakingFluid, BreakingRock, march_legs, stretches
 from demflow.model.families import (
+    MEASURED,
     alike,
     asked,
     may_be_emulated,
@@ -317,6 +318,23 @@ def _told_coupling(scene: Scene) -> tuple[str, str] | None:
     if not scene.coupled or scene.breaks:
         return None
     return scene.coupling_method, scene.reckoned.reason
+
+
+def _may_be_loaded(scene: Scene) -> bool:
+    """Whether a scene may be one of a family of states of stress that unit loads give.
+
+    The static solver is asked for, so that no state takes long, and what is observed of the rock
+    are permeabilities.
+    """
+    static = scene.stress is not None and scene.stress.method == "static"
+    measured = bool(scene.observe) and MEASURED.issuperset(scene.observe)
+    return static and measured and _superposes(scene) and not scene.coupled
+
+
+def _own_stages(scene: Scene) -> dict[str, dict[str, Any]]:
+    """What the stages of a scene read that no other state of stress shares, by their names."""
+    own = ("stress", "open", "measure", "measure_bar", "measure_periodic", "observe")
+    return {s.name: s.given(scene) for s in STAGES if s.name in own and s.wanted(scene)}
 
 
 def _always(_scene: Scene) -> bool:
@@ -701,6 +719,19 @@ STAGES: tuple[Stage, ...] = (
         family=may_be_measured,
         brings=lambda s: s.fractures,
         block=64,
+    ),
+    Stage(
+        name="states",
+        function="demflow.model.states:states",
+        version=1,
+        parents=("pack", "unit_loads", "network", "walk", "calibrate"),
+        reads={},
+        wanted=_never,
+        product=dict,
+        manner=_traces,
+        family=_may_be_loaded,
+        brings=_own_stages,
+        block=16,
     ),
     Stage(
         name="observe",

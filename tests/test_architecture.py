@@ -43,7 +43,7 @@ MODEL = (
     ("model.limited", "model.members"),
     ("model.history",),
     ("model.observe", "model.maps"),
-    ("model.emulation", "model.tensors"),
+    ("model.emulation", "model.states", "model.tensors"),
     ("model.stages",),
 )
 # The study and its cases are read without the model's machinery; what runs comes after, and

@@ -18,6 +18,7 @@ from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
 from demflow.sweep.dataset.file import attributes
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
+from demflow.sweep.plan.families import passed_over
 from demflow.sweep.plan.graph import MODEL, make_plan, stage_table
 from demflow.sweep.store.origins import as_made
 from demflow.sweep.store.products import DamagedError, MissingError, Store, StoreError
@@ -116,19 +117,23 @@ def case_of(
     made, runs = told.get("stage_sources", ""), told.get("stage_runs", "")
     plan = make_plan([scene], as_made(stage_table(table), made))
     products: dict[str, Any] = {}
-    together = [s.name for s in plan.stages if s.family is not None and s.family(scene)]
     counted = dict(one.split() for one in runs.partition(" behind")[0].split(", ") if one)
-    served = any(int(counted.get(name, 0)) for name in together)
+    without = {  # stages that it has of its own where no family takes their place
+        plan.stages[row].name
+        for k, stage in enumerate(plan.stages)
+        if stage.family is not None and stage.family(scene) and int(counted.get(stage.name, 0))
+        for row in passed_over(plan.stages, k)
+    }
     for run in (plan.runs[last] for last in plan.cases[0] if last >= 0):
         stage = plan.stages[run.stage]
         try:
             products[stage.name] = build(stage.returns, store.get(run.id).arrays)
         except MissingError:
-            if served and stage.name in _ITS_OWN:
-                # its family was answered without; of these, maps show the pipes alone
-                if stage.name == "open":
+            if stage.name in without:
+                # its family was answered without; of these, maps show grains and pipes alone
+                if stage.name in ("stress", "open"):
                     parents = [products.get(name) for name in stage.parents]
-                    products["open"] = stage.run(*parents, **stage.given(scene))
+                    products[stage.name] = stage.run(*parents, **stage.given(scene))
                 continue
             failure = store.failure(run.id)
             why = failure["message"] if failure else "it was not run; `demflow run` computes it"
@@ -139,10 +144,6 @@ def case_of(
     from demflow.model.maps import case_maps  # physics, which numbers of a study do not need
 
     return _dataset(study, scene, case_maps(scene, products, ends=ends), index)
-
-
-# stages that a case has of its own where no family takes their place
-_ITS_OWN = ("open", "measure", "measure_bar", "measure_periodic", "flow", "observe")
 
 
 def values_of(folder: Path, settings: Sequence[str]) -> dict[str, Any]:

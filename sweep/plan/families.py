@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -37,8 +37,21 @@ class _Family:
     cases: list[int] = field(default_factory=list)
     brings: list[list[bytes]] = field(default_factory=list)  # of each shared stage, digests
     places: list[tuple[float, ...]] = field(default_factory=list)
-    # where they lie or, of stages without a place, what they bring: of different ones
-    differ: set[Any] = field(default_factory=set)
+
+    def without(self, served: np.ndarray) -> _Family:
+        """Those of its cases that are not served, (all cases,) bool, by others."""
+        left = [k for k, case in enumerate(self.cases) if not served[case]]
+        return replace(
+            self,
+            cases=[self.cases[k] for k in left],
+            brings=[self.brings[k] for k in left],
+            places=[self.places[k] for k in left],
+        )
+
+    @property
+    def different(self) -> int:
+        """How many lie or, of stages without a place, bring what no other does."""
+        return len(set(self.places) if any(self.places) else {one[-1] for one in self.brings})
 
 
 class Families:
@@ -59,7 +72,7 @@ class Families:
         self.found: dict[bytes, _Family] = {}
 
     def note(self, case: int, scene: Scene, own: np.ndarray) -> None:
-        """A case whose runs are `own` (stages,); it may be one of a family.
+        """A case whose runs are `own` (stages,); it may be one of a family, or of several.
 
         Parameters
         ----------
@@ -67,9 +80,12 @@ class Families:
         scene : of the case
         own : identity of its own part
         """
-        shared = next((rows for may, rows in self.chains.items() if may(scene)), None)
-        if shared is None:
-            return
+        for may, shared in self.chains.items():
+            if may(scene):
+                self._join(shared, case, scene, own)
+
+    def _join(self, shared: list[int], case: int, scene: Scene, own: np.ndarray) -> None:
+        """Add a case to the family that is served by these rows."""
         reads = [dict(self.readers[k](scene)) for k in shared]
         parents = [int(own[p]) for k in shared for p in self.parent_rows[k]]
         key = hashlib.sha256(encode([*shared, *parents]))
@@ -85,21 +101,22 @@ class Families:
         family.brings.append([hashlib.sha256(encode(of(scene))).digest() for of in brings if of])
         place = self.stages[shared[0]].place
         family.places.append(place(scene) if place else ())
-        family.differ.add(family.places[-1] if place else family.brings[-1][-1])
 
     def joined(
         self, runs: list[StageRun], cases: np.ndarray
     ) -> tuple[list[StageRun], np.ndarray, np.ndarray]:
         """The runs and what each case is made of, as `Plan` has them, families served together.
 
-        The third is `Plan.member`.
+        The third is `Plan.member`. Of two families the one whose stages stand first in the table
+        serves a case, if it is large.
         """
-        large = [f for f in self.found.values() if len(f.differ) >= LEAST]
-        if not large:
-            return runs, cases, np.empty(0, dtype=np.int32)
         member = np.full(len(cases), -1, dtype=np.int32)
-        for family in large:
-            self._serve(family, runs, cases, member)
+        for found in sorted(self.found.values(), key=lambda family: family.shared):
+            family = found.without(member >= 0)
+            if family.different >= LEAST:
+                self._serve(family, runs, cases, member)
+        if not np.any(member >= 0):
+            return runs, cases, np.empty(0, dtype=np.int32)
         return *_pruned(runs, cases), member
 
     def _serve(
@@ -136,16 +153,19 @@ class Families:
                 cases[serves, k] = len(runs) - 1
                 if self.stages[k].place is None:
                     member[serves] = np.arange(len(block))
-        self._leave(every, family.shared[-1], cases)
-
-    def _leave(self, every: np.ndarray, last: int, cases: np.ndarray) -> None:
-        """Take out of cases (in place) what the run that serves them does not go back to."""
-        kept = {last}
-        for row in range(len(self.stages) - 1, -1, -1):
-            if row in kept:
-                kept.update(self.parent_rows[row])
-        left = np.array([row for row in range(len(self.stages)) if row not in kept], dtype=int)
+        # what the run that serves them does not go back to
+        left = np.array(passed_over(self.stages, family.shared[-1]), dtype=int)
         cases[np.ix_(every, left)] = -1
+
+
+def passed_over(stages: tuple[Stage, ...], last: int) -> list[int]:
+    """Rows of the table of stages that a run of one of them, `last`, does not go back to."""
+    row = {stage.name: k for k, stage in enumerate(stages)}
+    kept = {last}
+    for k in range(len(stages) - 1, -1, -1):
+        if k in kept:
+            kept.update(row[name] for name in stages[k].parents)
+    return [k for k in range(len(stages)) if k not in kept]
 
 
 def _apart(places: list[tuple[float, ...]], most: int) -> list[int]:

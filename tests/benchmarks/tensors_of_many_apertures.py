@@ -10,14 +10,10 @@ number.
 from __future__ import annotations
 
 import os
-import statistics
 from pathlib import Path
 
-import xarray as xr
-
-from tests.benchmarks.ran import results_folder
+from tests.benchmarks.further_cases import further_cases
 from tests.benchmarks.result import Result
-from tests.benchmarks.sweeps import ROOT, timed_run
 
 GRAINS = int(os.environ.get("GRAINS", "5000"))
 BOUND, EACH, SAME, ROUNDS = 1.4, 2.0, 1e-13, 3
@@ -47,42 +43,16 @@ def run() -> Result:
     if not base:
         bound = f"≥ {BOUND:g} times less, ≥ {EACH:g} times a further case"
         return Result("no other build", bound, False, "set DEMFLOW_BASE to a folder of one")
-    folder = results_folder() / "tensors"
-    folder.mkdir()
-    builds = {"other": Path(base), "own": ROOT}
-    found, computed = {}, {}
-    every: dict[tuple[str, str], list[float]] = {}
-    for lap in range(ROUNDS + 1):  # the first one compiles
-        for name, axis in (("single", "values: [50 um]"), ("many", AXIS)):
-            path = folder / f"{name}.yaml"
-            text = STUDY.replace("NAME", name).replace("COUNT", str(GRAINS)).replace("AXIS", axis)
-            path.write_text(text)
-            for build, root in builds.items():
-                results = folder / f"{build}_{name}_{lap}"
-                done = timed_run(path, results, root=root, workers=2)
-                every.setdefault((build, name), []).append(done.cpu)
-                computed[build, name] = done.computed
-                with xr.open_dataset(results / name / "dataset.nc") as dataset:
-                    found[build, name] = dataset.permeability.load()
-    took = {which: statistics.median(laps[1:]) for which, laps in every.items()}
-    ratio = took["other", "many"] / took["own", "many"]
-    cases = found["own", "many"].one.size * found["own", "many"].two.size
-    each = {
-        build: (took[build, "many"] - took[build, "single"]) / (cases - 1)
-        for build in ("other", "own")
-    }
-    further = each["other"] / each["own"]
-    alone = found["own", "single"].values.ravel()
-    block = found["own", "many"].isel(one=0, two=0).values.ravel()
-    off = float(abs(block - alone).max() / abs(alone).max())
-    lines = [
-        f"{build}: {took[build, 'many']:.1f} s of processor, {computed[build, 'many']} stage runs; "
-        f"a single case {took[build, 'single']:.1f} s, each further one {1e3 * each[build]:.1f} ms"
-        for build in ("other", "own")
+    texts = [
+        STUDY.replace("NAME", name).replace("COUNT", str(GRAINS)).replace("AXIS", axis)
+        for name, axis in (("single", "values: [50 um]"), ("many", AXIS))
     ]
+    found = further_cases("tensors", *texts, Path(base), ROUNDS)
+    other, own = found["other"], found["own"]
+    ratio, further = other.many / own.many, other.each / own.each
     return Result(
-        f"{ratio:.2f} times less, {further:.1f} times a further case, {off:.0e} from alone",
+        f"{ratio:.2f} times less, {further:.1f} times a further case, {own.off:.0e} from alone",
         f"≥ {BOUND:g} times less, ≥ {EACH:g} times a further case, ≤ {SAME:.0e}",
-        ratio >= BOUND and further >= EACH and off <= SAME,
-        "\n".join(lines),
+        ratio >= BOUND and further >= EACH and own.off <= SAME,
+        "\n".join(one.line(build) for build, one in found.items()),
     )

@@ -168,6 +168,43 @@ def test_cases_of_other_rocks_or_fluids_are_measured_alone(axis):
     assert not len(plan.member)
 
 
+def loaded(one: float, load: float, **changed) -> Scene:
+    """A scene of which permeabilities are observed, under a stress that unit loads give."""
+    stress = Stress(xx=1e6 * load, yy=1e6, method="static")
+    return measured(one, 1e-4, stress=stress, **{**STRONG, **changed})
+
+
+def test_states_of_stress_of_a_large_family_are_found_together():
+    """Blocks of 16; each case by its place; others stay alone."""
+    told = [loaded(1e-4, k, fractures=()) for k in range(1, 81)]
+    auto = measured(1e-4, 1e-4, stress=Stress(xx=9e6, yy=1e6), fractures=(), **STRONG)
+    plan = make_plan([*told, auto], STAGES)
+    counts = dict(zip((s.name for s in STAGES), plan.counts(), strict=True))
+    assert counts["states"] == 5
+    assert counts["stress"] == counts["open"] == counts["measure"] == counts["observe"] == 1
+    assert names(plan, 70) == ["pack", "unit_loads", "network", "states"]
+    for case in range(80):
+        run, at = plan.result_of(case)
+        assert plan.runs[run].members[at] == case
+    assert plan.member[80] == -1
+    assert not len(make_plan(told[:63], STAGES).member)
+
+
+def test_of_two_families_the_first_of_the_table_serves_if_it_is_large():
+    """Apertures × stresses: 81 apertures under a stress are measured, few are loaded."""
+    many = [loaded(w, load) for load in (1.0, 2.0) for w in np.geomspace(5e-5, 5e-4, 81)]
+    few = [loaded(w, load) for load in range(3, 12) for w in WIDTHS]
+    plan = make_plan([*many, *few], STAGES)
+    counts = dict(zip((s.name for s in STAGES), plan.counts(), strict=True))
+    assert counts["tensors"] == 4
+    assert counts["states"] == -(-len(few) // 16)
+    assert counts["stress"] == 2
+    assert counts["open"] == 0
+    for case in range(len(plan.cases)):
+        run, at = plan.result_of(case)
+        assert plan.runs[run].members[at] == case
+
+
 def test_few_members_are_solved_case_by_case():
     """Rates do not count: they share one response anyway."""
     few = [scene(*at) for at in itertools.product(WIDTHS[:7], WIDTHS, (1e-6, 2e-6, 3e-6))]
@@ -244,20 +281,39 @@ observe: [permeability, bar_permeability, periodic_permeability]
 """
 
 
+LOADED = """
+study: states
+scene:
+  region: {shape: rectangle, width: 5 m, height: 4 m}
+  grains: {count: 150, porosity: 0.17, seed: 2, modulus: 20 GPa, stiffness_ratio: 2.5}
+  bonds: {kind: contact, tensile_strength: 500 MPa, shear_strength: 500 MPa, installation_gap: 0.01}
+  stress: {xx: 10 MPa, yy: 10 MPa, method: static}
+  matrix: {permeability: 1 mD, half_stress: 8 MPa}
+  fluid: {viscosity: 1 cP, bulk_modulus: 1 GPa}
+vary:
+  one: {parameter: stress.xx, from: 10 MPa, to: 20 MPa, count: 9}
+  two: {parameter: stress.yy, from: 8 MPa, to: 12 MPa, count: 8}
+observe: [permeability, bar_permeability, periodic_permeability]
+"""
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("one_worker")
-def test_a_study_of_tensors_gives_what_its_cases_give(tmp_path, monkeypatch):
+@pytest.mark.parametrize(
+    ("text", "stage", "count"), [(MEASURED, "tensors", 2), (LOADED, "states", 5)]
+)
+def test_a_study_of_tensors_gives_what_its_cases_give(text, stage, count, tmp_path, monkeypatch):
     """To the bit; a block that is lost is made again alone, cases open, and nothing is left."""
-    path = tmp_path / "tensors.yaml"
-    path.write_text(MEASURED)
+    path = tmp_path / "study.yaml"
+    path.write_text(text)
     results = tmp_path / "results"
     done = run_study(path, results=results, workers=1, figures=False)
     assert done.failed == 0
     found = sweep.open_results(done.folder).load()
     first = sweep.open_case(done.folder, one=float(found.one[3]), two=float(found.two[2]))
     store = Store.open(results / "store", create=False)
-    blocks = [p for p in store.files() if store.meta(p.stem)["stage"] == "tensors"]
-    assert len(blocks) == 2
+    blocks = [p for p in store.files() if store.meta(p.stem)["stage"] == stage]
+    assert len(blocks) == count
     blocks[0].unlink()
     again = run_study(path, results=results, workers=1, figures=False)
     assert again.executed is not None
@@ -282,6 +338,8 @@ def test_scenes_of_a_family_are_no_other_scenes_alone():
         if stage.family is not None:
             for one in (scene(1e-4, 1e-4), measured(1e-4, 1e-4)):
                 assert not stage.wanted(one)
-                assert stage.family(one) == ((stage.name == "tensors") == (one.wells == ()))
+                measures = stage.name == "tensors" and not one.wells
+                emulates = stage.name in ("emulator", "emulate") and bool(one.wells)
+                assert stage.family(one) == (measures or emulates)
     held = dataclasses.replace(scene(1e-4, 1e-4), boundaries=(("outer", 9e6),))
     assert not any(stage.family(held) for stage in STAGES if stage.family is not None)
