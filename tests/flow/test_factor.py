@@ -3,6 +3,7 @@
 from fractions import Fraction
 from itertools import pairwise
 
+import flint
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -33,19 +34,13 @@ def dense(n, i, j, g, excess, number=float):
 
 
 def eliminate(matrix, rhs):
-    """Gauss elimination in exact numbers."""
-    n = len(rhs)
-    a = [[*row, b] for row, b in zip(matrix, rhs, strict=True)]
-    for k in range(n):
-        for r in range(k + 1, n):
-            factor = a[r][k] / a[k][k]
-            if factor:
-                for c in range(k, n + 1):
-                    a[r][c] -= factor * a[k][c]
-    x = [Fraction(0)] * n
-    for k in reversed(range(n)):
-        x[k] = (a[k][n] - sum(a[k][c] * x[c] for c in range(k + 1, n))) / a[k][k]
-    return x
+    """The solution in exact numbers, of fractions."""
+    found = flint.fmpq_mat(_ratios(matrix)).solve(flint.fmpq_mat(_ratios([[b] for b in rhs])))
+    return [Fraction(int(x.p), int(x.q)) for x in found.entries()]
+
+
+def _ratios(rows):
+    return [[flint.fmpq(*x.as_integer_ratio()) for x in row] for row in rows]
 
 
 @given(seed=st.integers(0, 10**6), n=st.integers(1, 60), extra=st.integers(0, 90))
