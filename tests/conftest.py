@@ -55,6 +55,15 @@ def pytest_collection_finish():
 
 
 @pytest.fixture(scope="module")
+def packed_once():
+    """Grains with which several tests begin are packed once; not for tests of packings."""
+    from tests import packed  # with the kernels of mechanics
+
+    with packed.once():
+        yield
+
+
+@pytest.fixture(scope="module")
 def forked_workers():
     """The workers of a module are forked, which costs less than to start them."""
     from tests import standing  # with all of Dask

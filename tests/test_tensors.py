@@ -26,6 +26,8 @@ from demflow.model.scene import (
 from demflow.model.stages import STAGES, run_stages
 from demflow.model.tensors import CONDITIONS
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 STAGE = {stage.name: stage for stage in STAGES}
 EVERY = ("bar_permeability", "periodic_permeability", "permeability")
 

@@ -27,6 +27,8 @@ from demflow.model.scene import (
 from demflow.model.scene.coupling import Coupling
 from demflow.model.stages import STAGES, run_stages, simulate
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 WELL = Well(name="w", at=(0.0, 0.0), radius=0.17, schedule=((0.0, -5e-3), (0.3, 0.0), (0.4, -5e-3)))
 SCENE = Scene(
     region=Rectangle(2.0, 2.0),

@@ -24,7 +24,7 @@ from demflow.model.scene import (
 )
 from demflow.model.stages import STAGES, run_stages, simulate
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("packed_once")]
 
 STRONG = Bonds(kind="parallel", tensile_strength=1e12, shear_strength=1e12)
 DRIFT = CircularHole(at=(0.2, 0.1), radius=0.25, side="drift")

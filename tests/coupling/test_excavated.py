@@ -33,7 +33,7 @@ from demflow.model.scene import (
 from demflow.model.stages import run_stages, simulate
 from tests.coupling_rocks import APERTURE, CEMENT, FLUID, STIFFNESS, VISCOSITY
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("packed_once")]
 
 SCENE = Scene(
     region=Rectangle(2.4, 1.6),

@@ -24,6 +24,8 @@ from demflow.model.scene import (
 )
 from demflow.model.stages import STAGES, run_stages, simulate
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 STRESS, START = 1e7, 5e7
 SCENE = Scene(
     region=Rectangle(1.0, 1.0),

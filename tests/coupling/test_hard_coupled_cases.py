@@ -21,7 +21,7 @@ from demflow.model.stages import simulate
 from tests.coupling.bored import packed, rock, run, well, wet
 from tests.coupling_rocks import random_packing, specimen_of
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("packed_once")]
 
 STRONG = Bonds(kind="parallel", tensile_strength=1e12, shear_strength=1e12)
 SCENE = Scene(

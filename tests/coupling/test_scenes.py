@@ -26,6 +26,8 @@ from demflow.model.scene import (
 )
 from demflow.model.stages import STAGES, run_stages, simulate
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 CEMENT = Bonds(kind="parallel", tensile_strength=1e9, shear_strength=1e9)
 SCENE = Scene(
     region=Rectangle(1.6, 1.2),

@@ -37,6 +37,8 @@ from demflow.model.scene.coupling import Coupling
 from demflow.model.stages import STAGES, run_stages, simulate
 from tests.coupling.bored import KN, joint, packed, rock, wet
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 STRONG = Bonds(kind="parallel", tensile_strength=1e12, shear_strength=1e12)
 
 

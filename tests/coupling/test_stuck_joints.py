@@ -27,6 +27,8 @@ from demflow.model.scene import (
 from demflow.model.stages import simulate
 from tests.coupling.bored import packed
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 STIFF = Joint(normal_stiffness=1e9, shear_stiffness=4e8, friction=0.6)
 PLAIN = Scene(
     region=Rectangle(2.0, 2.0),

@@ -10,11 +10,9 @@ import shlex
 import shutil
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ import yaml
 
 import demflow
 from demflow.model import quantities
-from demflow.model.mechanics.packing import packing
 from demflow.sweep.command import cli
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import KEYS, load_study
@@ -93,13 +90,6 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "rates.csv").write_text(f"t [h],q [bbl/d]\n0,{rate}\n{hours},0\n")
     monkeypatch.chdir(tmp_path)
     return tmp_path
-
-
-@pytest.fixture(scope="module")
-def packed_once():
-    """Most blocks are about the same rock, or one of the same grains."""
-    with mock.patch.object(packing, "pack", cache(packing.pack)):
-        yield
 
 
 @pytest.mark.slow

@@ -37,6 +37,8 @@ from demflow.model.scene import (
     Well,
 )
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 KITE = Polygon(((0.0, -0.2), (0.25, 0.1), (0.0, 0.3), (-0.1, 0.1)))
 PIERCED = [
     Pierced(

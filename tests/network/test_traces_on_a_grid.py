@@ -6,6 +6,8 @@ import pytest
 from tests.benchmarks.pressures_of_the_2018_benchmark import CASES, modelled, on_a_grid, rms
 from tests.traces_on_a_grid import solved
 
+pytestmark = pytest.mark.usefixtures("packed_once")
+
 NONE = np.empty((0, 4))
 
 
