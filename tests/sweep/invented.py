@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import cache
 
 import numpy as np
 import xarray as xr
@@ -11,6 +12,7 @@ from scipy.spatial import Delaunay
 from demflow.model.analytic.linear import linear_pressure
 from demflow.model.analytic.radial import radial_dimensionless_pressure
 from demflow.model.quantities import CASE
+from demflow.model.scene import Scene
 from demflow.model.transient import bourdet_derivative
 from demflow.sweep.study.cases import case_at, coordinates
 from demflow.sweep.study.load import Study, load_study
@@ -135,9 +137,13 @@ def rock(region_radius: float, spacing: float, seed: int, square: bool = False) 
 
 def invented_maps(study: Study, index: tuple[int, ...], spacing: float = 1.2) -> xr.Dataset:
     """Maps of a case: the formula's pressure, a little off for each packing."""
-    scene = case_at(study, index).scene
+    return _maps_of(case_at(study, index).scene, 1 + sum(index), spacing).copy(deep=True)
+
+
+@cache
+def _maps_of(scene: Scene, seed: int, spacing: float) -> xr.Dataset:
+    """The same of a scene, made once."""
     times = np.array(scene.times)
-    seed = 1 + sum(index)
     noise = 1.0 + 0.01 * np.random.default_rng(seed).normal()
     if dict(scene.boundaries).keys() == {"left", "right"}:
         maps = rock(6.75, spacing, seed, square=True)
@@ -165,6 +171,15 @@ def invented_maps(study: Study, index: tuple[int, ...], spacing: float = 1.2) ->
 
 def invented_dataset(study: Study) -> xr.Dataset:
     """A dataset with a value for every case, smooth in the axes."""
+    if study.text not in _datasets:
+        _datasets[study.text] = _dataset_of(study)
+    return _datasets[study.text].copy(deep=True)
+
+
+_datasets: dict[str, xr.Dataset] = {}  # by the text of their study, each made once
+
+
+def _dataset_of(study: Study) -> xr.Dataset:
     names = [axis.name for axis in study.axes]
     scene = case_at(study, [0] * len(names)).scene
     times = np.array(scene.times)
