@@ -56,7 +56,9 @@ def poisoned(tmp_path_factory):
         limits="{time: 2 s}",
     )
     seen = []
-    finished = toys.run(path, folder / "results", progress=seen.append, workers=2)
+    with pytest.MonkeyPatch.context() as patched:  # how often it takes is for the tests of blame
+        patched.setattr("demflow.sweep.execution.blame.ATTEMPTS_AT_MOST", 3)
+        finished = toys.run(path, folder / "results", progress=seen.append, workers=2)
     return path, finished, open_results(finished.folder), seen
 
 
