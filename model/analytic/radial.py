@@ -176,7 +176,20 @@ def unbounded_transform(R: ArrayLike) -> Transform:
         found: np.ndarray = _kve(0, q * R) * np.exp(-q * (R - 1.0)) / (s * q * _kve(1, q))
         return found
 
-    return transform
+    def at_the_well(s: np.ndarray) -> np.ndarray:
+        return _at_the_well(s.astype(complex).tobytes()).reshape(s.shape)
+
+    return at_the_well if R.ndim == 0 and R == 1.0 else transform
+
+
+@lru_cache(maxsize=8)
+def _at_the_well(s: bytes) -> np.ndarray:
+    """Kept, since most trials of a fit ask for the same s: only k and a negative skin change it."""
+    points = np.frombuffer(s, dtype=complex)
+    root = np.sqrt(points)
+    found: np.ndarray = _kve(0, root) / (points * root * _kve(1, root))
+    found.flags.writeable = False
+    return found
 
 
 def finite_radius_well(R_D: ArrayLike, t_D: ArrayLike) -> np.ndarray:
