@@ -10,11 +10,14 @@ from __future__ import annotations
 import functools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
 from demflow.model.parameters import SceneError, check_fields, parameter
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 # A point of the rim nearer to a second side than this part of the extent is a corner.
 CORNER = 1e-9

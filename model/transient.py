@@ -8,9 +8,12 @@ shut-in is taken by the equivalent time, or the flow before it would halve it by
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 SMOOTHING = 0.1  # L, the window of the Bourdet derivative on each side, natural-log units
 

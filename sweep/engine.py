@@ -31,7 +31,7 @@ from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import peak_memory
 from demflow.sweep.execution.progress import Progress
 from demflow.sweep.execution.schedule import Schedule
-from demflow.sweep.plan.graph import MODEL
+from demflow.sweep.plan.table import MODEL
 from demflow.sweep.prepared import Project, prepare
 from demflow.sweep.store.durable import naming, unflushed
 from demflow.sweep.store.inherited import inherited, note

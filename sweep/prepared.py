@@ -17,7 +17,8 @@ from demflow.model.outcome import Status
 from demflow.model.parameters import SceneError
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import available
-from demflow.sweep.plan.graph import MODEL, Plan, make_plan, stage_table
+from demflow.sweep.plan.graph import Plan, make_plan
+from demflow.sweep.plan.table import MODEL, stage_table
 from demflow.sweep.store.costs import Costs
 from demflow.sweep.store.origins import with_origins
 from demflow.sweep.store.products import Store

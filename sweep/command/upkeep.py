@@ -12,7 +12,7 @@ from pathlib import Path
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
 from demflow.sweep.dataset.file import attribute, dataset_problem
 from demflow.sweep.dataset.folder import UNFINISHED_FILE
-from demflow.sweep.plan.graph import MODEL, stage_table
+from demflow.sweep.plan.table import MODEL, stage_table
 from demflow.sweep.prepared import planned
 from demflow.sweep.store.lock import FolderLock
 from demflow.sweep.store.origins import as_made, sources_told, with_origins

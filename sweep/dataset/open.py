@@ -19,7 +19,8 @@ from demflow.sweep.dataset.file import attributes
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.plan.families import passed_over
-from demflow.sweep.plan.graph import MODEL, make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan
+from demflow.sweep.plan.table import MODEL, stage_table
 from demflow.sweep.store.origins import as_made
 from demflow.sweep.store.products import DamagedError, MissingError, Store, StoreError
 from demflow.sweep.store.versions import installed

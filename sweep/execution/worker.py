@@ -34,7 +34,7 @@ from demflow.model.parameters import SceneError
 from demflow.model.products import build, named
 from demflow.model.quantities import STOPPED
 from demflow.sweep.execution.memory import available, give_back, peak_memory, resident_memory
-from demflow.sweep.plan.graph import stage_table
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.store.products import (
     DamagedError,
     MissingError,

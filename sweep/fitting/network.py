@@ -22,7 +22,8 @@ from demflow.sweep.analysis.fitting import Fit, Free, fit
 from demflow.sweep.analysis.reservoirs import LEVEL
 from demflow.sweep.analysis.thinning import thinned
 from demflow.sweep.errors import ResultsError
-from demflow.sweep.plan.graph import Plan, make_plan, stage_table
+from demflow.sweep.plan.graph import Plan, make_plan
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.store.lock import FolderLock
 from demflow.sweep.store.origins import with_origins
 from demflow.sweep.store.products import Store, canonical, pack

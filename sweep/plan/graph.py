@@ -1,8 +1,7 @@
 """From cases to the graph of distinct stage runs. Pure: nothing is read, nothing is run.
 
 The table of stages is an argument everywhere, so that planning and running can be tried with
-stages of a few lines. A table is named by where it lies, which is how the worker processes
-find the same one.
+stages of a few lines (`plan.table`).
 
 Two cases that agree on all that a stage reads, and on all that its parents read, share
 its run. A plan holds numbers and names only, never scenes, so that it stays small for a
@@ -12,7 +11,6 @@ hundred thousand cases.
 from __future__ import annotations
 
 import hashlib
-import importlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -29,30 +27,6 @@ if TYPE_CHECKING:
     from demflow.model.stages import Stage
 
     Stages = tuple[Stage, ...]  # a table of them
-
-
-MODEL = "demflow.model.stages:STAGES"
-
-
-def stage_table(reference: str = MODEL) -> tuple[Stage, ...]:
-    """Return the table of stages at `module:name`, in an order in which parents come first.
-
-    Raises ValueError where a stage names a parent that does not stand before it, unless it is its
-    own, as that of a march is; and where not exactly one stage is observed.
-    """
-    module, _, name = reference.partition(":")
-    stages: tuple[Stage, ...] = tuple(getattr(importlib.import_module(module), name))
-    earlier: set[str] = set()
-    for stage in stages:
-        known = earlier if stage.legs is None else {*earlier, stage.name}
-        if missing := [parent for parent in stage.parents if parent not in known]:
-            raise ValueError(f"{reference}: {stage.name} stands before its parent {missing[0]}")
-        if stage.legs is not None and stage.name not in stage.parents:
-            raise ValueError(f"{reference}: {stage.name} has legs and is no parent of its own")
-        earlier.add(stage.name)
-    if sum(stage.observed for stage in stages) != 1:
-        raise ValueError(f"{reference}: one stage's product is what is observed, and no other's")
-    return stages
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ _CHILD = """
 import json, sys, time
 if sys.argv[2] == "demflow":
     from demflow.sweep.prepared import prepare
-    from demflow.sweep.plan.graph import stage_table
+    from demflow.sweep.plan.table import stage_table
 else:
     from sweep.prepared import prepare
     from sweep.stages import stage_table

@@ -12,7 +12,7 @@ import time
 import numpy as np
 
 from demflow.model.scene import Scene
-from demflow.sweep.plan.graph import stage_table
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import load_study
 from tests.benchmarks.result import Result

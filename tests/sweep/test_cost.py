@@ -19,8 +19,9 @@ from demflow.model.stages import STAGES, grain_count
 from demflow.sweep.command.forecast import _elapsed, forecast
 from demflow.sweep.engine import run_study
 from demflow.sweep.execution.memory import peak_memory
-from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan
 from demflow.sweep.plan.runs import SIZE_STEP, CostClass
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.store.costs import OUTLIERS, STEEPEST, Costs, Spent, exponent, scaled
 from demflow.sweep.store.products import Store
 from tests.sweep import toys

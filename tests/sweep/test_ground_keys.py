@@ -9,7 +9,8 @@ from study_text import SMALL, load
 from demflow.model.scene import CircularHole, PolygonalHole, RectangularHole
 from demflow.sweep.figures.holes import draw_inflow
 from demflow.sweep.figures.style import house_style
-from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import StudyError
 

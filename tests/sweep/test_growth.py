@@ -16,7 +16,8 @@ import pytest
 from demflow.model.parameters import SceneError
 from demflow.model.scene import OBSERVABLES, Refinement, Scene
 from demflow.sweep.dataset.open import open_results
-from demflow.sweep.plan.graph import Plan, make_plan, stage_table
+from demflow.sweep.plan.graph import Plan, make_plan
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.prepared import planned
 from demflow.sweep.study.cases import case_at
 from demflow.sweep.study.load import Study, load_study

@@ -6,7 +6,8 @@ from study_text import broken, load, problems
 
 from demflow.model.scene import Inflow
 from demflow.model.stages import simulate
-from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.study.cases import case_at
 
 SIDES = "{left: 7 MPa, right: 5 MPa}"

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from demflow.sweep.plan.graph import stage_table
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.store.inherited import inherited, note
 from demflow.sweep.store.products import Store
 from tests.sweep import toy_stages, toys

@@ -22,7 +22,8 @@ from demflow.sweep.dataset import collect as collecting
 from demflow.sweep.dataset.open import open_results
 from demflow.sweep.dataset.ragged import Ragged
 from demflow.sweep.dataset.tiles import Tile
-from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan
+from demflow.sweep.plan.table import stage_table
 from demflow.sweep.prepared import prepare
 from tests.sweep import marches, toys
 from tests.sweep.toy_stages import DIARY

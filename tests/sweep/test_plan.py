@@ -10,7 +10,8 @@ import pytest
 
 from demflow.model.parameters import SceneError
 from demflow.model.scene import Fluid, Grains, Matrix, Rectangle, Scene, Stress, Well
-from demflow.sweep.plan.graph import make_plan, stage_table
+from demflow.sweep.plan.graph import make_plan
+from demflow.sweep.plan.table import stage_table
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)

@@ -18,8 +18,9 @@ from demflow.sweep.execution.schedule import (
     WORTH_SECONDS,
     Schedule,
 )
-from demflow.sweep.plan.graph import Plan, stage_table
+from demflow.sweep.plan.graph import Plan
 from demflow.sweep.plan.runs import CostClass, StageRun
+from demflow.sweep.plan.table import stage_table
 from tests.sweep.toys import TABLE
 
 STAGES = stage_table(TABLE)[:3]
