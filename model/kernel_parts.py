@@ -13,16 +13,19 @@ takes ten times as long as a law of contact.
 # mypy: disable-error-code="no-untyped-call, attr-defined"
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import cache, partial
+from functools import partial
 from types import FunctionType
 from typing import Any
 
+from llvmlite import binding as llvm
 from numba import types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, CompileResult
 from numba.core.environment import lookup_environment
+
+from demflow.model.kernel_thrift import thrift
 
 
 class _Linked(JITCodeLibrary):
@@ -33,7 +36,19 @@ class _Linked(JITCodeLibrary):
 
 
 class _Whole(_Linked):
-    """Code that Python calls: knows the constants of all its parts."""
+    """Code that Python calls: takes in all its parts, and knows their constants."""
+
+    def add_ir_module(self, module: Any) -> None:
+        if module.name == "wrapper":
+            # it takes arguments apart once a call, and is as long as many a kernel
+            for function in _defined(module):
+                function.attributes.add("noinline")
+                function.attributes.add("optnone")
+        super().add_ir_module(module)
+
+    def finalize(self) -> None:
+        self._linking_libraries = _callers_first(self._linking_libraries)
+        super().finalize()
 
     def _finalize_specific(self) -> None:
         super()._finalize_specific()
@@ -46,20 +61,25 @@ class _Whole(_Linked):
 class _Part(_Linked):
     """Code that is only linked into other code."""
 
-    def _optimize_functions(self, module: Any) -> None:
-        super()._optimize_functions(module)
-        for function in module.functions:
+    def add_ir_module(self, module: Any) -> None:
+        for function in _defined(module):
             # what gathers the words of an error says of itself that it stays where it is
-            stays = any(b"noinline" in words for words in function.attributes)
-            if not function.is_declaration and not stays:
-                function.add_function_attribute("alwaysinline")
+            if "noinline" not in function.attributes:
+                function.attributes.add("alwaysinline")
+        super().add_ir_module(module)
 
-    def _optimize_final_module(self) -> None:
-        """Leave it to the whole."""
-
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        """Leave it to the whole to link what this calls."""
+        self._raise_if_finalized()
+        for function in _defined(self._final_module):
+            if function.linkage is llvm.Linkage.external:
+                function.linkage = "linkonce_odr"  # gone once it is taken in
         self._finalize_dynamic_globals()
         self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        self._ensure_finalized()
+        return self._final_module
 
     def get_pointer_to_function(self, _name: str) -> int:
         """Tell that there is none."""
@@ -75,6 +95,27 @@ class _Part(_Linked):
         """Leave it to the whole."""
 
 
+def _defined(module: Any) -> Iterator[Any]:
+    return (function for function in module.functions if not function.is_declaration)
+
+
+def _callers_first(libraries: Iterable[Any]) -> list[Any]:
+    """All that is called, once, behind whatever calls it: LLVM links what is asked for already."""
+    seen: dict[Any, None] = {}  # what is called before what calls it
+
+    def visit(library: Any) -> None:
+        if library not in seen:
+            if isinstance(library, _Part):
+                library._ensure_finalized()
+                for called in library._linking_libraries:
+                    visit(called)
+            seen[library] = None
+
+    for library in libraries:
+        visit(library)
+    return list(seen)[::-1]
+
+
 @contextmanager
 def _parts_only(codegen: Any) -> Iterator[None]:
     """Make a part of all that is compiled meanwhile, Numba's own functions too."""
@@ -85,29 +126,6 @@ def _parts_only(codegen: Any) -> Iterator[None]:
         del codegen.create_library
 
 
-@cache
-def _looked_up(function: types.Function, context: Any, args: Any, keywords: Any) -> Any:
-    return types.BaseFunction.get_call_type(function, context, args, dict(keywords))
-
-
-def _signature(function: types.Function, context: Any, args: Any, keywords: Any) -> Any:
-    return _looked_up(function, context, tuple(args), tuple(keywords.items()))
-
-
-@contextmanager
-def _signatures_kept() -> Iterator[None]:
-    """Look up but once what each of Numba's own functions makes of arguments of some types.
-
-    Numba does so at each call, and tries one after another all that the function may mean.
-    """
-    functions: Any = types.Function  # which inherits it
-    functions.get_call_type = _signature
-    try:
-        yield
-    finally:
-        del functions.get_call_type
-
-
 class Wholes(Compiler):
     """Numba's compiler of a kernel that Python calls."""
 
@@ -116,7 +134,7 @@ class Wholes(Compiler):
         codegen = self.state.targetctx.codegen()
         self.state.library = _Whole(codegen, function.__qualname__)
         self.state.library.enable_object_caching()
-        with _parts_only(codegen), _signatures_kept():
+        with _parts_only(codegen), thrift():
             return super().compile_extra(function)
 
 

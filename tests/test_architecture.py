@@ -24,6 +24,7 @@ MODEL = (
         "model.transient",
         "model.threads",
     ),
+    ("model.kernel_thrift",),
     ("model.kernel_cache", "model.kernel_parts"),
     ("model.compile",),
     ("model.memory",),
@@ -81,7 +82,12 @@ MACHINERY = {
     "sweep.figures": ("model.analytic", "model.transient"),
 }
 DOORS = {  # outer library: the only rooms that may import it
-    "numba": {"model.compile", "model.kernel_cache", "model.kernel_parts"},
+    "numba": {
+        "model.compile",
+        "model.kernel_cache",
+        "model.kernel_parts",
+        "model.kernel_thrift",
+    },
     "qdldl": {"model.mechanics.static.stiffness", "model.coupling.matrix"},
     "threadpoolctl": {"model.threads"},
     "dask": {"sweep.execution.local", "sweep.execution.cluster"},

@@ -64,7 +64,13 @@ def small_model(folder: Path) -> dict[str, str]:
     package.mkdir(parents=True)
     (package / "__init__.py").touch()
     (package.parent / "__init__.py").touch()
-    for name in ("compile.py", "compilation.py", "kernel_cache.py", "kernel_parts.py"):
+    for name in (
+        "compile.py",
+        "compilation.py",
+        "kernel_cache.py",
+        "kernel_parts.py",
+        "kernel_thrift.py",
+    ):
         shutil.copy(MODEL / name, package)
     (package / "law.py").write_text(LAW)
     (package / "caller.py").write_text(CALLER)
