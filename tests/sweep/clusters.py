@@ -1,13 +1,21 @@
-"""A Dask cluster of real processes on the loopback, each in a folder of its own."""
+"""A Dask cluster of real processes on the loopback, each in a folder of its own.
+
+They are forked from one that has imported Dask and nothing else: to import it takes a process four
+times as long as all the rest that it does before it stands.
+"""
 
 from __future__ import annotations
 
+import atexit
 import json
 import os
+import signal
 import subprocess
 import sys
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,9 +38,9 @@ class Cluster(NamedTuple):
     """A scheduler's address, the processes, and the folder that holds all."""
 
     address: str
-    workers: list[subprocess.Popen]
+    workers: list[psutil.Process]
     folder: Path
-    scheduler: subprocess.Popen
+    scheduler: psutil.Process
 
 
 class Certificate(NamedTuple):
@@ -99,7 +107,7 @@ def dask_cluster(
 
 
 @contextmanager
-def extra_worker(address: str, folder: Path, *options: str) -> Iterator[subprocess.Popen]:
+def extra_worker(address: str, folder: Path, *options: str) -> Iterator[psutil.Process]:
     """Let one more `dask worker` join a scheduler while a `with` block runs."""
     with _process(folder, "worker", address, *LOCAL, *options) as started:
         wait_until(lambda: "Registered to" in (folder / "log").read_text(), PATIENCE)
@@ -110,32 +118,87 @@ def _written(contact: Path) -> bool:
     return contact.exists() and contact.read_text().endswith("}")
 
 
-def _has_worker(nanny: subprocess.Popen) -> bool:
+def _has_worker(nanny: psutil.Process) -> bool:
     return any("spawn_main" in " ".join(child.cmdline()) for child in _children(nanny))
 
 
-def _children(process: subprocess.Popen) -> list[psutil.Process]:
-    return psutil.Process(process.pid).children(recursive=True)
+def _children(process: psutil.Process) -> list[psutil.Process]:
+    return process.children(recursive=True)
 
 
 @contextmanager
-def _process(folder: Path, *arguments: str) -> Iterator[subprocess.Popen]:
+def _process(folder: Path, *arguments: str) -> Iterator[psutil.Process]:
     """`dask …` in a folder of its own."""
     folder.mkdir()
-    command = [sys.executable, "-m", "dask", *arguments]
-    environment = {**os.environ, **UNWATCHED, "PYTHONPATH": str(ROOT)}
-    with (folder / "log").open("wb") as log:
-        started = subprocess.Popen(command, cwd=folder, env=environment, stdout=log, stderr=log)
+    (folder / "log").touch()
+    server = _server()
+    assert server.stdin is not None
+    assert server.stdout is not None
+    print(json.dumps([str(folder), arguments]), file=server.stdin, flush=True)
+    started = psutil.Process(int(server.stdout.readline()))
     try:
         yield started
     finally:
-        family = [] if started.poll() is not None else _children(started)
-        started.terminate()
-        try:
-            started.wait(10)
-        except subprocess.TimeoutExpired:
-            started.kill()
-            started.wait()
-        for child in family:
-            if child.is_running():
-                child.kill()
+        with suppress(psutil.NoSuchProcess):
+            family = _children(started)
+            started.terminate()
+            try:
+                started.wait(10)
+            except psutil.TimeoutExpired:
+                started.kill()
+                started.wait()
+            for child in family:
+                if child.is_running():
+                    child.kill()
+
+
+@cache
+def _server() -> subprocess.Popen[str]:
+    """What forks, for as long as the tests run."""
+    pipe = subprocess.PIPE
+    server = subprocess.Popen(
+        [sys.executable, "-c", "from tests.sweep.clusters import serve; serve()"],
+        env={**os.environ, **UNWATCHED, "PYTHONPATH": str(ROOT)},
+        stdin=pipe,
+        stdout=pipe,
+        text=True,
+    )
+    atexit.register(server.communicate)
+    return server
+
+
+def serve() -> None:
+    """Fork `dask …` for each line of standard input, its folder and arguments; write its number."""
+    from dask import cli
+    from distributed.cli import dask_scheduler, dask_worker  # noqa: F401 (which it runs)
+
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for them here
+    for line in sys.stdin:
+        folder, arguments = json.loads(line)
+        if process := os.fork():
+            print(process, flush=True)
+            continue
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        _become(folder, cli.run_cli, arguments)
+
+
+def _become(folder: str, run: Callable[[], None], arguments: list[str]) -> None:
+    """Run Dask's command line in a folder with a log, and end this process."""
+    status = 1
+    try:
+        os.chdir(folder)
+        log = os.open("log", os.O_WRONLY)
+        null = os.open(os.devnull, os.O_RDONLY)
+        for stream, own in enumerate((null, log, log)):
+            os.dup2(own, stream)
+        sys.argv = ["dask", *arguments]
+        run()
+        status = 0
+    except SystemExit as end:
+        status = int(end.code or 0)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)

@@ -137,7 +137,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_what_was_finished_is_kept(tmp_pa
     with dask_cluster(tmp_path / "processes", workers=1) as cluster:
 
         def kill(_) -> None:
-            if products(tmp_path / "results"):
+            if products(tmp_path / "results") and cluster.scheduler.is_running():
                 cluster.scheduler.kill()
 
         with pytest.raises(RunError, match=f"{cluster.address} answers no longer"):
