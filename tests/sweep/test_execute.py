@@ -37,8 +37,8 @@ POISON = {
         Status.FAILED,
         "observe: well_pressure is not a finite number at 3",
     ),
-    toy_stages.HOLDS_ON: (Status.TIMED_OUT, "flow: not done after 2 s"),
-    toy_stages.HANGS: (Status.TIMED_OUT, "flow: not done after 2 s"),
+    toy_stages.HOLDS_ON: (Status.TIMED_OUT, "flow: not done after 1 s"),
+    toy_stages.HANGS: (Status.TIMED_OUT, "flow: not done after 1 s"),
 }
 HEALTHY = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
 
@@ -53,7 +53,7 @@ def poisoned(tmp_path_factory):
         seeds=(1,),
         stresses=(),
         rates=tuple(map(float, rates)),
-        limits="{time: 2 s}",
+        limits="{time: 1 s}",
     )
     seen = []
     with pytest.MonkeyPatch.context() as patched:  # how often it takes is for the tests of blame
@@ -91,7 +91,7 @@ def test_each_stage_tells_how_many_of_its_runs_have_their_product(poisoned):
     assert runs["observe"] == (7, 14)
 
 
-def variant(path, rates, limit="2 s"):
+def variant(path, rates, limit="1 s"):
     """The poisoned study with other rates and another limit, under a name of its own."""
     name = re.sub(r"\W", "", f"variant{len(rates)}{limit}")
     limits = f"{{time: {limit}}}"
@@ -114,8 +114,8 @@ def test_a_failure_is_not_met_again_unless_asked_for(poisoned):
 def test_a_limit_that_was_raised_is_tried_again(poisoned):
     path, finished, _, _ = poisoned
     rates = (1.0, toy_stages.HANGS)
-    raised = toys.run(variant(path, rates, "2.1 s"), finished.folder.parent, workers=2)
-    lowered = toys.run(variant(path, rates, "1.9 s"), finished.folder.parent, workers=2)
+    raised = toys.run(variant(path, rates, "1.1 s"), finished.folder.parent, workers=2)
+    lowered = toys.run(variant(path, rates, "0.9 s"), finished.folder.parent, workers=2)
     assert raised.executed.failed == 1
     assert lowered.executed is None
 

@@ -29,7 +29,7 @@ from demflow.model.stages import Stage
 SLOW_SEED, SLOW_SECONDS = 77, 1.2  # a packing that takes its time
 RAISES, DIES, HANGS, GROWS, BREAKS, NO_MEMORY = -1.0, -2.0, -3.0, -4.0, -5.0, -6.0
 NO_NUMBER, HOLDS_ON, FORESEES = -7.0, -8.0, -9.0
-COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.5
+COMPILES, COMPILES_AND_HANGS, COMPILING_SECONDS = -10.0, -11.0, 1.1
 LONG, LONG_SECONDS = 1e5, 0.6  # rates from which on a flow takes longer than the others
 ANSWERS_SLOWLY, DIES_ANSWERING, ANSWER_SECONDS = -12.0, -13.0, 1.0
 FORGETS, LITTLE_MEMORY = -14.0, 1_500_000  # bytes: a packing, but no stress beside it
