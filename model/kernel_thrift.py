@@ -17,6 +17,9 @@ from numba import types
 from numba.core.postproc import PostProcessor, VariableLifetime
 from numba.core.runtime.context import NRTContext
 from numba.core.transforms import canonicalize_cfg
+from numba.core.typed_passes import NativeLowering
+
+from demflow.model.kernel_lending import Lending
 
 
 @cache
@@ -84,6 +87,7 @@ def thrift() -> Iterator[None]:
             (functions, "get_call_type", _signature),
             (NRTContext, "get_meminfos", _counted),
             (PostProcessor, "run", _tidied),
+            (NativeLowering, "lowering_class", Lending),
         ):
             stack.enter_context(_instead(owner, name, value))
         yield

@@ -68,6 +68,7 @@ def small_model(folder: Path) -> dict[str, str]:
         "compile.py",
         "compilation.py",
         "kernel_cache.py",
+        "kernel_lending.py",
         "kernel_parts.py",
         "kernel_thrift.py",
     ):
@@ -391,3 +392,80 @@ def test_a_kernel_takes_in_what_it_calls(tmp_path, answer):
         "print(sum(' call ' in line and 'law' in line for line in lines))\n"
     )
     assert answer(code, tmp_path, environment) == "0\n"
+
+
+def test_a_kernel_counts_nothing_that_it_is_given(tmp_path, answer):
+    """Nor do kernels inside it: only the wrapper does, through which Python calls it."""
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "law.py").write_text(MANY)
+    (tmp_path / "demflow" / "model" / "caller.py").write_text(SUMS)
+    code = (
+        "import numpy as np\n"
+        "from demflow.model.caller import caller\n"
+        "from demflow.model.law import Many\n"
+        "caller(Many(*np.ones((20, 5))))\n"
+        "kernel = next(iter(caller.inspect_llvm().values())).split('define ')[1]\n"
+        "print('caller' in kernel, 'NRT' in kernel)\n"
+    )
+    assert answer(code, tmp_path, environment) == "True False\n"
+
+
+KEPT = """
+from typing import NamedTuple
+import numpy as np
+from demflow.model.compile import kernel
+
+class Pair(NamedTuple):
+    one: np.ndarray
+    two: np.ndarray
+
+@kernel
+def law(pair, first):
+    if first:
+        chosen = pair.one
+    else:
+        chosen = pair[-1]
+    return chosen
+"""
+
+KEEPING = """
+from demflow.model.compile import kernel
+from demflow.model.law import Pair, law
+
+@kernel
+def caller(pair, times):
+    one = pair.one
+    other = law(pair, False)
+    for k in range(times):
+        pair = Pair(other + k, one)
+        other = law(pair, k % 2 == 0)
+    return one, law(pair, True), law(pair, False), other, pair
+"""
+
+
+@pytest.mark.parametrize("times", [0, 1, 2, 3])
+def test_what_is_lent_lives_as_long_as_somebody_has_it(tmp_path, times, answer):
+    """Returned, kept in a tuple or let go: values and counts are those of plain Python."""
+    environment = small_model(tmp_path)
+    (tmp_path / "demflow" / "model" / "law.py").write_text(KEPT)
+    (tmp_path / "demflow" / "model" / "caller.py").write_text(KEEPING)
+    code = (
+        "import gc, sys, numpy as np\n"
+        "from demflow.model.caller import caller\n"
+        "from demflow.model.law import Pair\n"
+        "flat = lambda got: [x.tolist() for x in (*got[:-1], *got[-1])]\n"
+        "def run(function, calls):\n"
+        "    arrays = [np.arange(1000.0), np.arange(1000.0) + 0.5]\n"
+        "    before = [sys.getrefcount(a) for a in arrays]\n"
+        f"    got = [function(Pair(*arrays), {times}) for _ in range(calls)]\n"
+        "    assert [sys.getrefcount(a) >= b for a, b in zip(arrays, before)] == [True, True]\n"
+        "    kept, got = got[-1], None\n"
+        "    held = [sys.getrefcount(a) - b for a, b in zip(arrays, before)]\n"
+        "    del arrays; [np.full(1000, -1.0) for _ in range(100)]\n"
+        "    return flat(kept), held\n"
+        "values, held = run(caller, 1)\n"
+        "again, many = run(caller, 50)\n"
+        "plain, _ = run(caller.py_func, 1)\n"
+        "print(values == again == plain, held == many, min(held) >= 0)\n"
+    )
+    assert answer(code, tmp_path, environment) == "True True True\n"
