@@ -8,7 +8,7 @@ import pytest
 from demflow.model.analytic.holes import kirsch_stresses, lithostatic_stress
 from demflow.model.mechanics.loading.stress import load, unit_loads
 from demflow.model.outcome import ModelError
-from demflow.model.products import StressState
+from demflow.model.products import StressState, UnitLoads
 from demflow.model.region import Circle, Hole, Rectangle
 from demflow.model.scene import Bonds, Ground, Stress
 from tests.mechanics.rocks import net_forces, packed
@@ -36,8 +36,15 @@ def state(
     elastic = {"stiffness_ratio": 2.5, "friction": 0.5, "bonds": bonds}
     units = None
     if bonds is not None and stress.method != "explicit":
-        units = unit_loads(rock, **elastic, ground=ground.over(KN))
+        units = units_of(count, seed, bonds, ground)
     return load(rock, units, normal_stiffness=KN, **elastic, stress=stress, ground=ground)
+
+
+@cache
+def units_of(count: int, seed: int, bonds: Bonds, ground: Ground) -> UnitLoads:
+    """The unit loads of a rock, which many stresses share."""
+    rock = packed(count=count, seed=seed)
+    return unit_loads(rock, stiffness_ratio=2.5, friction=0.5, bonds=bonds, ground=ground.over(KN))
 
 
 ROUND = Hole("hole", (0.0, 0.0), Circle(0.25))

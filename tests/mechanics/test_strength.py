@@ -40,12 +40,11 @@ def bonds(strength_: float = 157e6, kind: str = "parallel") -> Bonds:
 
 
 def to_failure(rock, cement, friction: float = 0.5, **test) -> StrengthTest:
-    return strength(
-        rock,
-        bonds=cement,
-        test=FailureTest(**{"strain_step": 2e-6, **test}),
-        **CONTACTS | {"friction": friction},
-    )
+    return strength(rock, bonds=cement, test=of_steps(test), **CONTACTS | {"friction": friction})
+
+
+def of_steps(test: dict) -> FailureTest:
+    return FailureTest(**{"strain_step": 2e-6, **test})
 
 
 GRAINS = 200
@@ -56,10 +55,14 @@ def rock():
     return packed(0.165, count=GRAINS)
 
 
-@cache
 def outcome(cement: Bonds | None, **test) -> StrengthTest:
     """The rock tested to failure, once for all that look at it."""
-    return to_failure(packed(0.165, count=GRAINS), cement, **test)
+    return broken_by(cement, of_steps(test))
+
+
+@cache
+def broken_by(cement: Bonds | None, test: FailureTest) -> StrengthTest:
+    return strength(packed(0.165, count=GRAINS), bonds=cement, test=test, **CONTACTS)
 
 
 @pytest.mark.parametrize("confinement", ["walls", "membrane"])
