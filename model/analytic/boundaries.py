@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import kve
 
-from demflow.model.analytic.laplace import Transform
+from demflow.model.analytic.laplace import Transform, kept
 
 SEALED, CONSTANT, NONE = 1.0, -1.0, 0.0  # reflection of a side
 
@@ -46,8 +46,13 @@ def _image(root: np.ndarray, distance: float, reflection: float) -> np.ndarray:
     """One image, twice as far away as the side: ± K0(2 d √s)."""
     if reflection == NONE:
         return np.zeros_like(root)
-    far = 2.0 * distance * root
-    found: np.ndarray = reflection * kve(0, far) * np.exp(-far)
+    return reflection * _wave(2.0 * distance * root)
+
+
+@kept
+def _wave(z: np.ndarray) -> np.ndarray:
+    """K0(z)."""
+    found: np.ndarray = kve(0, z) * np.exp(-z)
     return found
 
 

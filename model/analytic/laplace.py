@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +11,32 @@ from numpy.typing import ArrayLike
 Transform = Callable[[np.ndarray], np.ndarray]
 
 NODES = 24  # 3.89⁻²⁴ = 7e-15: what double precision can hold
+
+
+KEPT = 8  # arrays of points whose values are kept
+
+
+def kept(function: Transform) -> Transform:
+    """Keep what a function of complex points answered last, (...) to (...), not to be written to.
+
+    Most trials of a fit ask for the same points: only the permeability and a negative skin change
+    those at which a transform is inverted.
+
+    Parameters
+    ----------
+    function : of each point by itself
+    """
+
+    @lru_cache(maxsize=KEPT)
+    def answer(points: bytes) -> np.ndarray:
+        found = function(np.frombuffer(points, dtype=complex))
+        found.flags.writeable = False
+        return found
+
+    def look(points: np.ndarray) -> np.ndarray:
+        return answer(points.astype(complex, copy=False).tobytes()).reshape(points.shape)
+
+    return look
 
 
 def _contour(nodes: int) -> tuple[np.ndarray, np.ndarray]:

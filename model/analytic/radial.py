@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy import special
 from scipy.special import exp1, ive, j0, j1, y0, y1
 
-from demflow.model.analytic.laplace import Transform, invert
+from demflow.model.analytic.laplace import Transform, invert, kept
 
 # In units of (R_De − 1)². From the first on, Eq. 29 needs no more than 32 terms (the next is
 # below e^(−31.5² π² 0.01) = 1e-42); up to the second the boundary is not felt at all (what
@@ -176,19 +176,13 @@ def unbounded_transform(R: ArrayLike) -> Transform:
         found: np.ndarray = _kve(0, q * R) * np.exp(-q * (R - 1.0)) / (s * q * _kve(1, q))
         return found
 
-    def at_the_well(s: np.ndarray) -> np.ndarray:
-        return _at_the_well(s.astype(complex).tobytes()).reshape(s.shape)
-
-    return at_the_well if R.ndim == 0 and R == 1.0 else transform
+    return _at_the_well if R.ndim == 0 and R == 1.0 else transform
 
 
-@lru_cache(maxsize=8)
-def _at_the_well(s: bytes) -> np.ndarray:
-    """Kept, since most trials of a fit ask for the same s: only k and a negative skin change it."""
-    points = np.frombuffer(s, dtype=complex)
-    root = np.sqrt(points)
-    found: np.ndarray = _kve(0, root) / (points * root * _kve(1, root))
-    found.flags.writeable = False
+@kept
+def _at_the_well(s: np.ndarray) -> np.ndarray:
+    q = np.sqrt(s)
+    found: np.ndarray = _kve(0, q) / (s * q * _kve(1, q))
     return found
 
 
