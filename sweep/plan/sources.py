@@ -135,30 +135,30 @@ def _for_type_checkers(test: ast.expr) -> bool:
 
 def _digest(tree: ast.Module) -> str:
     """SHA-256 of a syntax tree, the same on every version of Python that can parse it."""
-    digest = hashlib.sha256()
-    for part in _parts(tree):
-        digest.update(f"{len(part)}:{part}".encode(errors="backslashreplace"))
-    return digest.hexdigest()
+    parts: list[str] = []
+    _take(tree, parts)
+    told = "".join(f"{len(part)}:{part}" for part in parts)
+    return hashlib.sha256(told.encode(errors="backslashreplace")).hexdigest()
 
 
-def _parts(node: object) -> Iterator[str]:
-    """What a syntax tree consists of, docstrings and empty fields left out."""
+def _take(node: object, parts: list[str]) -> None:
+    """Add what a syntax tree consists of, docstrings and empty fields left out."""
     if isinstance(node, list):
-        yield f"[{len(node)}"
+        parts.append(f"[{len(node)}")
         for one in node:
-            yield from _parts(one)
+            _take(one, parts)
     elif isinstance(node, ast.AST):
-        yield type(node).__name__
+        parts.append(type(node).__name__)
         for name in node._fields:
             value = getattr(node, name, None)
             if name == "body" and isinstance(value, list) and _documented(node):
                 value = value[1:]
             if value is None or value == [] or name in ("ctx", "type_comment", "kind"):
                 continue
-            yield name
-            yield from _parts(value)
+            parts.append(name)
+            _take(value, parts)
     else:
-        yield f"{type(node).__name__} {node!r}"
+        parts.append(f"{type(node).__name__} {node!r}")
 
 
 def _documented(node: ast.AST) -> bool:
