@@ -36,7 +36,7 @@ PACKAGE = __name__.rpartition(".")[0]  # kernels name nothing of ours outside it
 INDEX_PATIENCE = 5.0  # of reading or writing some kilobytes
 COMPILING_PATIENCE = 60.0
 
-WAY = 3  # raise it whenever the same code is compiled in another way, by `kernel_parts` or else
+WAY = 4  # raise it whenever the same code is compiled in another way, by `kernel_parts` or else
 
 
 @cache

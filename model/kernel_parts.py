@@ -27,6 +27,19 @@ from numba.core.environment import lookup_environment
 
 from demflow.model.kernel_thrift import thrift
 
+# What is done to a whole before it is optimised in full: each function is tidied while it is small,
+# so that less is copied into what calls it, and what calls it is brought into the form in which
+# counts of arrays are seen to come to nothing, and loops to take several numbers at once.
+FIRST = (
+    "sroa",
+    "instruction_combine",
+    "simplify_cfg",
+    "always_inliner",
+    "loop_rotate",
+    "instruction_combine",
+    "jump_threading",
+)
+
 
 class _Linked(JITCodeLibrary):
     """Code that is optimised once, when all of it is linked."""
@@ -49,6 +62,16 @@ class _Whole(_Linked):
     def finalize(self) -> None:
         self._linking_libraries = _callers_first(self._linking_libraries)
         super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        first = llvm.create_new_module_pass_manager()
+        for name in FIRST:
+            getattr(first, f"add_{name}_pass")()
+        first.add_refprune_pass()
+        plain = {"opt": 0, "loop_vectorize": False, "slp_vectorize": False}
+        first.run(self._final_module, self._codegen._pass_builder(**plain))
+        full, builder = self._codegen._module_pass_manager()
+        full.run(self._final_module, builder)
 
     def _finalize_specific(self) -> None:
         super()._finalize_specific()
