@@ -12,7 +12,7 @@ from demflow.model.products import Packing
 
 def packing_of(x, y, radius, pairs) -> Packing:
     """A packing at rest from grains and touching pairs."""
-    pairs = np.unique(np.sort(np.asarray(pairs, dtype=np.int64), axis=1), axis=0)
+    pairs = _distinct(np.asarray(pairs, dtype=np.int64))
     zeros = np.zeros(len(pairs))
     return Packing(
         x=np.asarray(x, dtype=float),
@@ -31,6 +31,13 @@ def packing_of(x, y, radius, pairs) -> Packing:
         unbalanced_ratio=np.asarray(0.0),
         steps=np.asarray(0),
     )
+
+
+def _distinct(pairs: np.ndarray) -> np.ndarray:
+    """Pairs (m, 2) of grains, each once, the smaller number first, in order."""
+    low, high = np.sort(pairs, axis=1).T
+    count = int(high.max(initial=0)) + 1
+    return np.column_stack(np.divmod(np.unique(low * count + high), count))
 
 
 def square_lattice(half_extent: float, radius: float, shift=(0.0, 0.0)) -> Packing:
@@ -74,7 +81,7 @@ def random_graph(half_extent: float, count: int, seed: int) -> Packing:
     points = grid - 1.4 * half_extent + rng.uniform(-0.3, 0.3, grid.shape) * step
     triangles = Delaunay(points).simplices
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [0, 2]]])
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    edges = _distinct(edges.astype(np.int64))
     length = np.hypot(*(points[edges[:, 0]] - points[edges[:, 1]]).T)
     edges = edges[(rng.random(len(edges)) < 0.8) & (length < 2.5 * step)]
     radius = rng.uniform(0.25, 0.35, len(points)) * step
