@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -14,8 +14,10 @@ MANY = 3  # parameters from which on they are listed
 TOLD = re.compile(r"^(\w+(?:, \w+)*) : ", re.MULTILINE)
 
 
-def public_functions() -> Iterator[tuple[str, ast.FunctionDef]]:
+@cache
+def public_functions() -> list[tuple[str, ast.FunctionDef]]:
     """Functions and methods of many parameters, but for those that override others."""
+    found = []
     for path in sorted([*(ROOT / "model").rglob("*.py"), *(ROOT / "sweep").rglob("*.py")]):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         owners = [tree, *(n for n in tree.body if isinstance(n, ast.ClassDef))]
@@ -27,7 +29,8 @@ def public_functions() -> Iterator[tuple[str, ast.FunctionDef]]:
             for function in _functions(owner):
                 overrides = derived and function.name in (stated | {"read", "build"})
                 if not overrides and len(parameters(function)) >= MANY:
-                    yield f"{path.relative_to(ROOT)}:{function.name}", function
+                    found.append((f"{path.relative_to(ROOT)}:{function.name}", function))
+    return found
 
 
 def _is_base(owner: ast.Module | ast.ClassDef) -> bool:

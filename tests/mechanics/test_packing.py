@@ -19,7 +19,11 @@ from tests.mechanics.rocks import REGIONS, net_forces, packed, wall_forces
 
 def covered(x, y, radius, points) -> np.ndarray:
     """Which points lie in a disc, by looking at every disc."""
-    return np.array([np.any((x - px) ** 2 + (y - py) ** 2 < radius**2) for px, py in points])
+    inside = np.zeros(len(points), dtype=bool)
+    px, py = points.T.copy()
+    for cx, cy, reach in zip(x, y, radius, strict=True):
+        inside |= (px - cx) ** 2 + (py - cy) ** 2 < reach**2
+    return inside
 
 
 def test_porosity_of_a_box_counts_cut_discs_by_their_part() -> None:
