@@ -232,32 +232,41 @@ def test_agrees_with_the_matrix_exponential(method, drawn):
             )
 
 
-@pytest.mark.parametrize("seed", range(3))
-@transient
-def test_agrees_with_scipy_s_integrator(method, seed):
-    """`solve_ivp` (Radau, 1e-9), with a well that stores, one that does not, and no outlet."""
+@cache
+def by_scipy(seed: int, source: int):
+    """A network with a well that stores, one that does not, and no outlet: by `solve_ivp`.
+
+    Radau, 1e-9; the network, its lags, the pressures of what stores, and those of the other well.
+    """
     system = graph(seed, 25, stores=True, held=0)
     lag = LAGS * step_limit(system)
-    found = respond(method, system, lag)
     matrix, storage = dense_matrices(system)
     m = system.pores
     shut = np.linalg.inv(matrix[m:, m:])
     reduced = (matrix[:m, :m] - matrix[:m, m:] @ shut @ matrix[m:, :m]) / storage[:, None]
+    rhs = system.source(source)
+    load = (rhs[:m] - matrix[:m, m:] @ (shut @ rhs[m:])) / storage
+    peer = solve_ivp(
+        lambda _t, p: load - reduced @ p,
+        (0.0, lag[-1]),
+        np.zeros(m),
+        method="Radau",
+        t_eval=lag,
+        rtol=1e-9,
+        atol=1e-9 * lag[-1] / storage.sum(),
+        jac=-reduced,
+    )
+    p = peer.y.T
+    return system, lag, p, (rhs[m:] - p @ matrix[:m, m:]) @ shut.T
+
+
+@pytest.mark.parametrize("seed", range(3))
+@transient
+def test_agrees_with_scipy_s_integrator(method, seed):
+    system, lag, *_ = by_scipy(seed, 0)
+    found = respond(method, system, lag)
     for source in range(2):
-        rhs = system.source(source)
-        load = (rhs[:m] - matrix[:m, m:] @ (shut @ rhs[m:])) / storage
-        peer = solve_ivp(
-            lambda _t, p, load=load: load - reduced @ p,
-            (0.0, lag[-1]),
-            np.zeros(m),
-            method="Radau",
-            t_eval=lag,
-            rtol=1e-9,
-            atol=1e-9 * lag[-1] / storage.sum(),
-            jac=-reduced,
-        )
-        p = peer.y.T
-        wells = (rhs[m:] - p @ matrix[:m, m:]) @ shut.T
+        _, _, p, wells = by_scipy(seed, source)
         scale = np.abs(p).max()
         np.testing.assert_allclose(found.pressure[source], p[:, :25], atol=OFF[method].laws * scale)
         own = p[:, 25] if source == 0 else wells[:, 0]
