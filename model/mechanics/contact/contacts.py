@@ -50,7 +50,7 @@ def contact_forces(
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,
-    joints: JointState,
+    joints: JointState | None,
     law: Law,
     box: Array,
     step: int,
@@ -73,7 +73,7 @@ def contact_forces(
     grains : the grains (n,), in units of mean radius and k_n
     pairs : pairs of grains near each other, (m,)
     bonds : bonds (b,)
-    joints : contacts (j,) across joints
+    joints : contacts (j,) across joints, or None
     law : law of contact, a named tuple that chooses what is done by its type
     box : walls xmin, xmax, ymin, ymax, (4,)
     step : number of the time step
@@ -92,9 +92,10 @@ def contact_forces(
     if ledger is not None:
         ledger[ELASTIC] = 0.0
     contacts, force = 0, 0.0
-    if joints.a.size > 0:
+    special = bonds.kind != NO_BONDS or ledger is not None
+    if joints is not None:
         contacts, force = joint_forces(grains, joints, box, step, dt, stretch_x, stretch_y, ledger)
-    special = bonds.kind != NO_BONDS or joints.a.size > 0 or ledger is not None
+        special = special or joints.a.size > 0
     own = np.zeros((3, x.size))
     touching, pushed = push(
         own, grains, pairs, bonds, law, box, step, dt, stretch_x, stretch_y, special, ledger

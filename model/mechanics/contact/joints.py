@@ -81,6 +81,11 @@ def no_joints() -> JointState:
     return JointState._make([*grains, *numbers, np.empty(0, np.int8), no_cracks(0)])
 
 
+def any_of(joints: JointState) -> JointState | None:
+    """The same, or None where there are none: kernels are compiled without them then."""
+    return joints if len(joints.a) else None
+
+
 class Joints:
     """The joints of a specimen: their traces, and the sides on which grains lay when they came."""
 

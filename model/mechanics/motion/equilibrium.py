@@ -26,7 +26,14 @@ from demflow.model.mechanics.contact.energy import (
     new_ledger,
 )
 from demflow.model.mechanics.contact.grains import Array, Grains
-from demflow.model.mechanics.contact.joints import Joints, JointState, Trace, among, no_joints
+from demflow.model.mechanics.contact.joints import (
+    Joints,
+    JointState,
+    Trace,
+    among,
+    any_of,
+    no_joints,
+)
 from demflow.model.mechanics.contact.law import Law
 from demflow.model.mechanics.contact.neighbours import (
     RAN_AWAY,
@@ -112,7 +119,7 @@ def advance(  # noqa: C901 (a kernel)
     grains: Grains,
     pairs: Pairs,
     bonds: BondState,
-    joints: JointState,
+    joints: JointState | None,
     law: Law,
     bounds: Any,
     servo: Servo,
@@ -142,7 +149,7 @@ def advance(  # noqa: C901 (a kernel)
     grains : the grains (n,), in units of mean radius and k_n
     pairs : pairs of grains near each other, (m,)
     bonds : bonds (b,)
-    joints : contacts (j,) across joints
+    joints : contacts (j,) across joints, or None
     law : law of contact, a named tuple that chooses what is done by its type
     bounds : walls or a cell, a named tuple that chooses by its type
     servo : what the walls are to do
@@ -268,7 +275,7 @@ def forces(
     """
     run = Run(Fire(TIME_STEP, START_MIXING, 0), step=step, dt=dt)
     found: Sums = advance(
-        grains, pairs, bonds, joints, law, Walls(box), STANDING, NEVER, run, TIME_STEP, 0.0,
+        grains, pairs, bonds, any_of(joints), law, Walls(box), STANDING, NEVER, run, TIME_STEP, 0.0,
         np.inf, 0.0, 0, 0, np.zeros((2, 4)), None,
     )[3]  # fmt: skip
     return found
@@ -491,8 +498,8 @@ class Specimen(Assembly):
         self, servo: Servo, stop: Stop, damping: float, slack: float, lasts: int, steps: int
     ) -> tuple[int, int, Run, Sums]:
         ended: tuple[int, int, Run, Sums] = advance(
-            self.grains, self.pairs, self.bonds, self.joints, self.law, Walls(self.box), servo,
-            stop,
+            self.grains, self.pairs, self.bonds, any_of(self.joints), self.law, Walls(self.box),
+            servo, stop,
             self.run, self.dt, damping, slack, self._reach(), lasts, steps, self.swings,
             self.ledger,
         )  # fmt: skip

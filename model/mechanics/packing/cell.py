@@ -18,7 +18,6 @@ from demflow.model.compile import kernel
 from demflow.model.mechanics.contact.bonds import no_bonds
 from demflow.model.mechanics.contact.contacts import NO_WALLS, Sums, mean_size
 from demflow.model.mechanics.contact.grains import Array, Grains
-from demflow.model.mechanics.contact.joints import no_joints
 from demflow.model.mechanics.contact.neighbours import find_pairs, no_pairs, some_pairs
 from demflow.model.mechanics.motion.bounds import (
     follow,
@@ -182,7 +181,7 @@ class Cell(Assembly):
     ) -> tuple[int, int, Run, Sums]:
         period = Period(self.box, self.grains, self.images, NO_WALLS)
         ended: tuple[int, int, Run, Sums] = advance(
-            self._all, self.pairs, no_bonds(), no_joints(), self.law, period, servo, stop,
+            self._all, self.pairs, no_bonds(), None, self.law, period, servo, stop,
             self.run, self.dt, damping, slack, self._reach(), lasts, steps, self.swings, None,
         )  # fmt: skip
         return ended
