@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from demflow.model.families import alike
 from demflow.model.network.apertures import branch_apertures, open_pipes, stress_across
+from demflow.model.outcome import ModelError, OutOfMemory
 from demflow.model.products import Apertures, Network, Permeability, StressState, Walk
+from demflow.model.quantities import FAILURE, checked
 from demflow.model.region import Region
 from demflow.model.scene import Fracture, Matrix, acting_lines
 
@@ -64,6 +66,25 @@ def check(fractures: tuple[Any, ...], members: tuple[tuple[Fracture, ...], ...])
     """
     if any(alike(one) != fractures for one in members):
         raise ValueError("the members of a family differ in more than how wide fractures are")
+
+
+def answered(of: Callable[[], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    """What is observed of a member; words where nothing is.
+
+    Raises `OutOfMemory`, which members of one rock need alike: it ends the run, and not for good.
+
+    Parameters
+    ----------
+    of : gives what is observed, or raises `ModelError`
+    """
+    try:
+        seen = of()
+        checked(seen)
+    except OutOfMemory:
+        raise
+    except ModelError as error:
+        return {FAILURE: np.asarray(str(error))}
+    return {**seen, FAILURE: np.asarray("")}
 
 
 def stacked(found: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:

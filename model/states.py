@@ -8,18 +8,17 @@ as it is alone, and no state is kept.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from demflow.model.mechanics.loading.stress import load
-from demflow.model.members import stacked
+from demflow.model.members import answered, stacked
 from demflow.model.network.apertures import open_pipes
 from demflow.model.observe import observe
-from demflow.model.outcome import ModelError, OutOfMemory
 from demflow.model.permeability import measure, measure_bar, measure_periodic
 from demflow.model.products import Network, Packing, Permeability, UnitLoads, Walk
-from demflow.model.quantities import FAILURE, checked
 
 Given = Mapping[str, Mapping[str, Any]]  # what each stage of a case reads, by its name
 MEASURES: Mapping[str, Callable[..., Any]] = {
@@ -53,7 +52,10 @@ def states(
     members : of each what its own stages read, from *stress* to *observe*, by their names
     """
     return stacked(
-        [_observed(packing, units, network, walked, calibrated, given) for given in members]
+        [
+            answered(partial(_observed, packing, units, network, walked, calibrated, given))
+            for given in members
+        ]
     )
 
 
@@ -65,21 +67,16 @@ def _observed(
     calibrated: Permeability | None,
     given: Given,
 ) -> dict[str, np.ndarray]:
-    """What is observed of a member; words where nothing is."""
-    try:
-        stress = load(packing, units, **given["stress"])
-        opened = open_pipes(network, walked, stress, calibrated, **given["open"])
-        measured, bar, periodic = (
-            of(network, opened, **given[name]) if name in given else None
-            for name, of in MEASURES.items()
-        )
-        seen = observe(
-            *(packing, stress, None, network, opened, measured, None, None, None),
-            bar=bar,
-            periodic=periodic,
-            **given["observe"],
-        )
-        checked(seen)
-    except (ModelError, OutOfMemory) as error:
-        return {FAILURE: np.asarray(str(error))}
-    return {**seen, FAILURE: np.asarray("")}
+    """What is observed of a member. Raises `ModelError` where nothing is."""
+    stress = load(packing, units, **given["stress"])
+    opened = open_pipes(network, walked, stress, calibrated, **given["open"])
+    measured, bar, periodic = (
+        of(network, opened, **given[name]) if name in given else None
+        for name, of in MEASURES.items()
+    )
+    return observe(
+        *(packing, stress, None, network, opened, measured, None, None, None),
+        bar=bar,
+        periodic=periodic,
+        **given["observe"],
+    )

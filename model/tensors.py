@@ -7,15 +7,15 @@ the same for all of them, and found once.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from demflow.model.controls import Controls
-from demflow.model.members import Rock, check, stacked
+from demflow.model.members import Rock, answered, check, stacked
 from demflow.model.network.apertures import with_branches
 from demflow.model.observe import observe, smallest_pore
-from demflow.model.outcome import ModelError, OutOfMemory
 from demflow.model.permeability import Bar, LinearRim, Repeated
 from demflow.model.products import (
     Apertures,
@@ -25,7 +25,6 @@ from demflow.model.products import (
     StressState,
     Walk,
 )
-from demflow.model.quantities import FAILURE, checked
 from demflow.model.region import Rectangle, Region
 from demflow.model.scene import Fracture, Matrix
 
@@ -82,7 +81,7 @@ def tensors(
     for one, width in zip(members, family.rock.widths(list(members)), strict=True):
         key = width.tobytes()
         if key not in found:
-            found[key] = family.observed(base, one, width, state)
+            found[key] = answered(partial(family.observed, base, one, width, state))
         seen.append(found[key])
     return stacked(seen)
 
@@ -101,27 +100,23 @@ class _Family:
         width: np.ndarray,
         state: dict[str, np.ndarray],
     ) -> dict[str, np.ndarray]:
-        """What is observed of a member whose branches are so wide, (e,) m; words where nothing is.
+        """What is observed of a member whose branches are so wide, (e,) m.
 
-        Of all that the others have in common with it `state` is what is observed.
+        Of all that the others have in common with it `state` is what is observed. Raises
+        `ModelError` where nothing is.
         """
         rock = self.rock
-        try:
-            if len(rock.walked.cut_branch):  # what a barrier is worth depends on what it cuts
-                opened = rock.opened(fractures)
-            else:
-                opened = with_branches(base, rock.walked, width, rock.viscosity)
-            pores = smallest_pore(opened, rock.network.inside)
-            seen = {**state, "smallest_pore": pores, FAILURE: np.asarray("")}
-            for name, of in CONDITIONS.items():
-                if name in self.wanted:
-                    key = name, (opened.branch_conductance > 0.0).tobytes()
-                    if key not in self.shared:
-                        self.shared[key] = of(rock, opened)
-                    seen[name] = self.shared[key].measured(opened, viscosity=rock.viscosity)
-            checked(seen)
-        except (ModelError, OutOfMemory) as error:
-            return {FAILURE: np.asarray(str(error))}
+        if len(rock.walked.cut_branch):  # what a barrier is worth depends on what it cuts
+            opened = rock.opened(fractures)
+        else:
+            opened = with_branches(base, rock.walked, width, rock.viscosity)
+        seen = {**state, "smallest_pore": smallest_pore(opened, rock.network.inside)}
+        for name, of in CONDITIONS.items():
+            if name in self.wanted:
+                key = name, (opened.branch_conductance > 0.0).tobytes()
+                if key not in self.shared:
+                    self.shared[key] = of(rock, opened)
+                seen[name] = self.shared[key].measured(opened, viscosity=rock.viscosity)
         return seen
 
 

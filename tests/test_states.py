@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from demflow.model.outcome import ModelError
+from demflow.model import states
+from demflow.model.outcome import ModelError, OutOfMemory
 from demflow.model.quantities import FAILURE
 from demflow.model.region import Rectangle
 from demflow.model.scene import Bonds, Closure, Fluid, Grains, Matrix, Scene, Stress, Trace
@@ -78,6 +79,17 @@ def test_a_member_beyond_its_strength_says_why_and_takes_nothing_from_the_others
     whole = together(scenes[::2])
     for name in whole:
         np.testing.assert_array_equal(found[name][::2], whole[name], err_msg=name)
+
+
+def test_what_does_not_fit_ends_the_run_and_is_no_answer_of_a_member(monkeypatch):
+    """An answer stays; a run that lacked memory is made again once there is more."""
+
+    def short(*_, **__):
+        raise OutOfMemory("a factor would not fit")
+
+    monkeypatch.setattr(states, "load", short)
+    with pytest.raises(OutOfMemory, match="a factor would not fit"):
+        together([scene(1e7, 1e7), scene(1.2e7, 9e6)])
 
 
 def test_who_may_take_long_or_asks_for_more_is_loaded_alone():

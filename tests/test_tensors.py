@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 
-from demflow.model.outcome import ModelError
+from demflow.model.outcome import ModelError, OutOfMemory
 from demflow.model.permeability import LinearRim
 from demflow.model.quantities import FAILURE
 from demflow.model.region import Rectangle
@@ -134,6 +134,17 @@ def test_a_member_without_a_result_takes_none_from_the_others(monkeypatch):
     assert found[FAILURE].tolist() == ["", "too wide", ""]
     assert np.all(np.isnan(found["permeability"][1]))
     np.testing.assert_array_equal(found["permeability"][::2], whole[::2])
+
+
+def test_what_does_not_fit_ends_the_run_and_is_no_answer_of_a_member(monkeypatch):
+    """An answer stays; a run that lacked memory is made again once there is more."""
+
+    def short(*_):
+        raise OutOfMemory("a factor would not fit")
+
+    monkeypatch.setitem(CONDITIONS, "permeability", short)
+    with pytest.raises(OutOfMemory, match="a factor would not fit"):
+        together([scene(traces(1e-4, 1e-4)), scene(traces(2e-4, 1e-4))])
 
 
 def test_members_of_another_family_are_refused():

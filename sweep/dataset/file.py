@@ -158,6 +158,18 @@ def recorded(path: Path) -> list[Verdict]:
         return [Verdict(Status(int(s)), str(m)) for s, m in zip(status, messages, strict=True)]
 
 
+def recorded_at(path: Path, index: tuple[int, ...]) -> Verdict | None:
+    """How one case ended by the dataset at `path`, None where it has no such case."""
+    with netCDF4.Dataset(path) as file:
+        status = file["status"]
+        if status.ndim != len(index) or any(
+            k >= n for k, n in zip(index, status.shape, strict=True)
+        ):
+            return None
+        ended = Status(int(np.ma.getdata(status[index])))
+        return Verdict(ended, str(file["message"][index]))
+
+
 def below_zero(path: Path) -> tuple[str, ...]:
     """What to say of pressures below zero in the dataset at `path`: a line, or none."""
     with suppress(OSError, IndexError, RuntimeError), netCDF4.Dataset(path) as file:

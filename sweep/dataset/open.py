@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from demflow.model.outcome import Status
 from demflow.model.products import build
 from demflow.model.quantities import COORDINATES, MAPS, TESTS, X_NAME, Y_NAME
 from demflow.model.scene import Scene
 from demflow.sweep.dataset import DATASET_FILE, STUDY_FILE
-from demflow.sweep.dataset.file import attributes
+from demflow.sweep.dataset.file import attributes, recorded_at
 from demflow.sweep.dataset.labels import CONVENTIONS, quantity_attributes
 from demflow.sweep.errors import ResultsError
 from demflow.sweep.plan.families import passed_over
@@ -27,6 +28,8 @@ from demflow.sweep.store.versions import installed
 from demflow.sweep.study.cases import case_at, coordinates
 from demflow.sweep.study.load import Study, StudyError, load_study
 from demflow.sweep.study.units import UnitError, parse_quantity, to_degrees
+
+_WITH_NUMBERS = (Status.DONE, Status.STOPPED, Status.INACCURATE)
 
 
 def open_results(folder: str | Path, *, lazy: bool = False) -> xr.Dataset:
@@ -132,6 +135,9 @@ def case_of(
         except MissingError:
             if stage.name in without:
                 # its family was answered without; of these, maps show grains and pipes alone
+                ended = recorded_at(folder / DATASET_FILE, index)
+                if ended is not None and ended.status not in _WITH_NUMBERS:
+                    raise ResultsError(f"the case has no results: {ended.message}") from None
                 if stage.name in ("stress", "open"):
                     parents = [products.get(name) for name in stage.parents]
                     products[stage.name] = stage.run(*parents, **stage.given(scene))

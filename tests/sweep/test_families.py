@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from demflow import sweep
+from demflow.model.outcome import Status
 from demflow.model.scene import (
     Bonds,
     Circle,
@@ -23,6 +24,7 @@ from demflow.model.scene import (
 )
 from demflow.model.stages import STAGES
 from demflow.sweep.engine import run_study
+from demflow.sweep.errors import ResultsError
 from demflow.sweep.plan import families
 from demflow.sweep.plan.graph import Plan, make_plan
 from demflow.sweep.store.products import Store
@@ -330,6 +332,29 @@ def test_a_study_of_tensors_gives_what_its_cases_give(text, stage, count, tmp_pa
     for name in other.data_vars:
         np.testing.assert_array_equal(first[name], other[name], err_msg=name)
     assert set(first.data_vars) == set(other.data_vars)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("one_worker")
+def test_a_case_that_failed_in_a_block_does_not_open(tmp_path, monkeypatch):
+    """Nor one that is left out; they say why. The others of their block do open."""
+    monkeypatch.setattr(families, "LEAST", 8)
+    text = LOADED.replace("from: 10 MPa, to: 20 MPa, count: 9", "values: [10 MPa, 20 MPa, 3 GPa]")
+    weak = text.replace("500 MPa", "100 MPa").replace("count: 8}", "count: 4}")
+    path = tmp_path / "study.yaml"
+    path.write_text(weak + "where: [one > 10 MPa or two < 12 MPa]\n")
+    done = run_study(path, results=tmp_path / "results", workers=1, figures=False)
+    found = sweep.open_results(done.folder).load()
+    ends = {Status(int(one)) for one in np.unique(found.status)}
+    assert ends == {Status.DONE, Status.FAILED, Status.LEFT_OUT}
+    for at in np.ndindex(found.status.shape):
+        one, two = (float(v[k]) for v, k in zip((found.one, found.two), at, strict=True))
+        if Status(int(found.status[at])) is Status.DONE:
+            assert sweep.open_case(done.folder, one=one, two=two).sizes["pipe"] > 0
+        else:
+            with pytest.raises(ResultsError) as error:
+                sweep.open_case(done.folder, one=one, two=two)
+            assert str(error.value) == f"the case has no results: {found.message[at].item()}"
 
 
 def test_scenes_of_a_family_are_no_other_scenes_alone():
