@@ -465,6 +465,8 @@ def _execute(
     failed = prepared.failed(stored, limits)
     if how.retry_failed or how.force:
         failed[:] = False
+    if how.retry_failed:  # a run of a family is stored, whatever its members end with
+        stored &= ~prepared.unanswered(stored)
     costs = prepared.costs()
     start = costs.start
     schedule = Schedule(plan, stored, failed, costs)

@@ -7,6 +7,7 @@ import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,13 +16,14 @@ import numpy as np
 
 from demflow.model.outcome import Status
 from demflow.model.parameters import SceneError
+from demflow.model.quantities import FAILURE
 from demflow.sweep.execution.limits import in_force
 from demflow.sweep.execution.memory import available
 from demflow.sweep.plan.graph import Plan, make_plan
 from demflow.sweep.plan.table import MODEL, stage_table
 from demflow.sweep.store.costs import Costs
 from demflow.sweep.store.origins import with_origins
-from demflow.sweep.store.products import Store
+from demflow.sweep.store.products import DamagedError, MissingError, Store
 from demflow.sweep.study.load import Limits, Study, load_study
 from demflow.sweep.study.scenes import SceneBuilder
 
@@ -73,6 +75,16 @@ class Project:
             record = self.store.failure(self.plan.runs[k].id)
             failed[k] = record is not None and not may_pass(record, limits)
         return failed
+
+    def unanswered(self, stored: np.ndarray) -> np.ndarray:
+        """Which stored runs serve a family some member of which has no result, (runs,) bool."""
+        found = np.zeros(len(self.plan.runs), dtype=bool)
+        for k in np.flatnonzero(stored):
+            run = self.plan.runs[k]
+            if run.stage in self.plan.serving and run.members:
+                with suppress(MissingError, DamagedError):  # it is missed when it is read
+                    found[k] = np.any(self.store.get(run.id).arrays[FAILURE] != "")
+        return found
 
     def verdicts(self) -> list[Verdict]:
         """How each case stands, (cases,)."""

@@ -355,6 +355,12 @@ def test_a_case_that_failed_in_a_block_does_not_open(tmp_path, monkeypatch):
             with pytest.raises(ResultsError) as error:
                 sweep.open_case(done.folder, one=one, two=two)
             assert str(error.value) == f"the case has no results: {found.message[at].item()}"
+    told = {"results": tmp_path / "results", "workers": 1, "figures": False}
+    assert run_study(path, **told).executed is None
+    again = run_study(path, **told, retry_failed=True)
+    assert again.executed is not None
+    assert again.executed.computed == 1
+    assert again.failed == done.failed > 0
 
 
 def test_scenes_of_a_family_are_no_other_scenes_alone():
