@@ -75,7 +75,10 @@ def test_another_takes_the_place_of_a_worker_that_hangs_as_it_starts(monkeypatch
         async with LocalPool(1) as pool:
             first = await hung(known)
             monkeypatch.setattr(local, "HUNG_SECONDS", 0.0)
-            await pool.look()
+            async with asyncio.timeout(60.0):
+                while first.is_running():  # it is found before its nanny knows its number
+                    await pool.look()
+                    await asyncio.sleep(0.02)
             monkeypatch.undo()
             async with asyncio.timeout(60.0):
                 while not (found := await pool.look()):
