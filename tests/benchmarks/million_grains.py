@@ -2,7 +2,9 @@
 
 A study of one case, run through YAML on two workers of a machine that has compiled: a random tile
 that repeats itself, two sets of embedded fractures, a well, and maps. Stage by stage, time is that
-of its runs and memory the largest of the worker that ran them.
+of its runs and memory the largest of the worker that ran them. Each size is run in some rounds,
+and how the network's time grows is told by medians: at 100,000 grains it is less than a tenth of
+a second. What the largest takes as a whole is the worst of its rounds.
 """
 
 from __future__ import annotations
@@ -10,6 +12,8 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
+import statistics
 import sys
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +25,7 @@ from tests.benchmarks.result import Result
 from tests.benchmarks.sweeps import timed_run
 
 SIZES = (20_000, 100_000, 1_000_000)
-TILE = 20_000
+TILE, ROUNDS = 20_000, 3
 MINUTES, MEMORY, NETWORK, EXPONENT = 10.0, 12.0, 3.0, 1.1  # GB, µs a grain
 TEXT = """
 study: million_{grains}
@@ -59,6 +63,7 @@ def measured(grains: int) -> Took:
     """Run the study with so many grains."""
     width = 40.0 * math.sqrt(grains / 20_000)  # m: grains stay as large
     folder = results_folder() / f"million_{grains}"
+    shutil.rmtree(folder, ignore_errors=True)  # of the round before
     folder.mkdir()
     path = folder / "study.yaml"
     path.write_text(
@@ -94,10 +99,14 @@ def line(grains: int, took: Took) -> str:
 def run() -> Result:
     """Time and memory of the largest, and how the network's time grows."""
     measured(2_000)  # loads libraries and kernels
-    found = {grains: measured(grains) for grains in SIZES}
+    rounds = [{grains: measured(grains) for grains in SIZES} for _ in range(ROUNDS)]
     *_, middle, largest = SIZES
-    minutes, memory = found[largest].seconds / 60.0, found[largest].memory / 1e9
-    few, many = (found[grains].stages["network"][0] for grains in (middle, largest))
+    minutes = max(found[largest].seconds for found in rounds) / 60.0
+    memory = max(found[largest].memory for found in rounds) / 1e9
+    few, many = (
+        statistics.median(found[grains].stages["network"][0] for found in rounds)
+        for grains in (middle, largest)
+    )
     exponent = math.log(many / few) / math.log(largest / middle)
     each = 1e6 * many / largest
     return Result(
@@ -105,7 +114,7 @@ def run() -> Result:
         f"exponent {exponent:.2f}",
         f"≤ {MINUTES:g} min, ≤ {MEMORY:g} GB; ≤ {NETWORK:g} µs, ≤ {EXPONENT:g}",
         minutes <= MINUTES and memory <= MEMORY and each <= NETWORK and exponent <= EXPONENT,
-        "\n".join(line(grains, took) for grains, took in found.items()),
+        "\n".join(line(grains, took) for found in rounds for grains, took in found.items()),
     )
 
 
