@@ -33,7 +33,13 @@ from demflow.model.outcome import ModelError, OutOfMemory, Status
 from demflow.model.parameters import SceneError
 from demflow.model.products import build, named
 from demflow.model.quantities import STOPPED
-from demflow.sweep.execution.memory import available, give_back, peak_memory, resident_memory
+from demflow.sweep.execution.memory import (
+    available,
+    give_back,
+    keep_freed,
+    peak_memory,
+    resident_memory,
+)
 from demflow.sweep.plan.table import stage_table
 from demflow.sweep.store.products import (
     DamagedError,
@@ -103,6 +109,7 @@ def introduce(table: str, wanted: frozenset[str], parent: int | None) -> dict[st
     if parent is not None:
         _end_with(parent)
         _go_first()
+        keep_freed()
     worker = get_worker()
     compilation.listener = lambda seconds: worker.log_event(COMPILING, {"seconds": seconds})
     worker.loop.add_callback(signal.signal, signal.SIGTSTP, _stand)  # in the main thread

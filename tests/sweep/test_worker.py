@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 from typing import Any
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 
 from demflow.model.outcome import Status
 from demflow.sweep.execution import worker
+from demflow.sweep.execution.local import ENVIRONMENT
 from demflow.sweep.execution.memory import resident_memory
 from demflow.sweep.execution.worker import Lot, Task, run_lot
 from demflow.sweep.store.products import Store
@@ -202,3 +205,30 @@ def test_what_would_not_fit_is_foreseen(store):
     record = store.failure(IDS["flow"])
     assert (record["limits"], "room" in record) == ({"memory": 1.5e8}, False)
     assert run(store, flow)[0].status is Status.DONE
+
+
+AGAIN = """
+import resource
+import numpy as np
+from demflow.sweep.execution.memory import KEPT_BYTES, give_back, keep_freed, resident_memory
+
+keep_freed()
+fresh = lambda: resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+size = KEPT_BYTES // 4
+(np.ones(size // 8), np.ones(size // 8))
+begin, held = fresh(), resident_memory()
+for _ in range(3):
+    (np.ones(size // 8), np.ones(size // 8))
+print(fresh() - begin < 16, end=" ")
+give_back()
+print(held - resident_memory() > 1.9 * size)
+"""
+
+
+def test_what_was_freed_is_used_again_and_given_back_where_it_is_asked_for():
+    """Arrays of 64 MB made again bring no page of the system's; it has them all back in the end."""
+    environment = {**os.environ, **ENVIRONMENT}
+    done = subprocess.run(
+        [sys.executable, "-c", AGAIN], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "True True\n"
