@@ -11,8 +11,6 @@ from numpy.typing import ArrayLike
 Transform = Callable[[np.ndarray], np.ndarray]
 
 NODES = 24  # 3.89⁻²⁴ = 7e-15: what double precision can hold
-
-
 KEPT = 8  # arrays of points whose values are kept
 
 

@@ -181,6 +181,7 @@ def unbounded_transform(R: ArrayLike) -> Transform:
 
 @kept
 def _at_the_well(s: np.ndarray) -> np.ndarray:
+    """K0(√s) / (s √s K1(√s)): the pressure at the wall of a well of unit rate."""
     q = np.sqrt(s)
     found: np.ndarray = _kve(0, q) / (s * q * _kve(1, q))
     return found
